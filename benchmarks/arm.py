@@ -1,11 +1,11 @@
-"""Does inverse dynamics find a hidden arm? Seven joints whose links weigh otherwise than their model file says.
+"""Inverse dynamics on a simulated arm of seven joints whose link masses differ from the model file.
 
     python benchmarks/arm.py
 
-An arm of the size of a lightweight robot, written here, whose links are 10 to 30 % heavier or lighter than the file,
-with armature, Coulomb and viscous friction, and commands that act late, is simulated by MuJoCo C at 10 kHz under a
-controller of 1 kHz, its encoders a little noisy. From positions and commanded torques, and from the file with the wrong
-links, `fit=inverse_dynamics fit.links=link.*` has to find all that; the errors are against what was hidden.
+MuJoCo C simulates an arm of the size of a lightweight robot at 10 kHz under a 1 kHz controller, with slight encoder
+noise. The links are 10 to 30 % heavier or lighter than the file states. The arm has armature, Coulomb and viscous
+friction and delayed commands. `fit=inverse_dynamics fit.links=link.*` identifies all of these from positions, commanded
+torques and the file with the wrong links. Errors are relative to the hidden values.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from frictionzoo.models.registry import get_model
 JOINTS = tuple(f"joint{number}" for number in range(1, 8))
 AXES = ("0 0 1", "0 1 0", "0 0 1", "0 -1 0", "0 0 1", "0 1 0", "0 0 1")
 LENGTHS = (0.16, 0.2, 0.2, 0.2, 0.19, 0.08, 0.1)  # m
-MASSES = (2.7, 2.7, 2.7, 2.7, 1.7, 1.6, 0.3)  # kg, as the file has them
+MASSES = (2.7, 2.7, 2.7, 2.7, 1.7, 1.6, 0.3)  # kg, in the model file
 TRUTH = {  # kg m^2, N m, N m s/rad, s
     "armature": np.array([0.5, 0.5, 0.3, 0.3, 0.15, 0.08, 0.05]),
     "frictionloss": np.array([7.0, 8.0, 5.0, 4.0, 2.0, 1.5, 0.8]),
@@ -58,7 +58,7 @@ COLUMNS = {
 
 
 def main() -> None:
-    """The arm, its recordings, and a table of errors for each bandwidth."""
+    """Simulate and identify the arm; report errors for each bandwidth."""
     options = parse()
     jax.config.update("jax_enable_x64", True)
     with tempfile.TemporaryDirectory() as folder:
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("arm", __doc__)
     parser.add_argument("--bandwidths", nargs="+", type=float, default=[40.0, 20.0], metavar="HZ")
     parser.add_argument("--recordings", type=int, default=2, metavar="N")
@@ -86,7 +86,7 @@ def parse() -> argparse.Namespace:
 
 
 def write_arm() -> str:
-    """The model file: links of matter, without what drives have."""
+    """Return the model file: links with inertia, without armature, friction or actuators."""
     body = ""
     for index in reversed(range(len(JOINTS))):
         mass, length = MASSES[index], LENGTHS[index]
@@ -100,41 +100,41 @@ def write_arm() -> str:
 
 
 def make_bench(path: Path) -> Bench:
-    """The arm as its file has it, with armature and one delay to be found."""
+    """Return the arm as in its file, with armatures and one common delay to identify."""
     delay = {"init": 0.003, "low": 0.0, "high": 0.02, "scale": 0.01, "identify": True, "tie": True}
     return Bench(str(path), JOINTS, actuator=Force(), params={"armature": section(0.05), "delay": delay})
 
 
 def make_law() -> FrictionModel:
-    """Coulomb and viscous friction, to be found."""
+    """Return Coulomb and viscous friction to identify."""
     return get_model("mujoco_default")(len(JOINTS), {name: section(1.0) for name in ("frictionloss", "damping")})
 
 
 def section(init: float) -> dict[str, Any]:
-    """A parameter of which little is known."""
+    """Return the settings of a parameter with wide bounds."""
     return {"init": init, "low": 1e-4, "high": 100.0, "scale": "log", "identify": True}
 
 
 def hide(bench: Bench, rng: np.random.Generator) -> Float[np.ndarray, "7 10"]:
-    """Parameters of links that are 10 to 30 % heavier or lighter than the file has them."""
+    """Draw inertial parameters of links 10 to 30 % heavier or lighter than in the file."""
     maker, off = inertial_parameters(bench.compile(constraint=False), range(1, 8)), np.zeros((7, 10))
     off[:, 0] = np.log1p(rng.choice([-1, 1], 7) * rng.uniform(0.1, 0.3, 7))
     return LogCholesky.around(maker, JOINTS).parameters(off)
 
 
 def make_drive(bench: Bench, links: Float[np.ndarray, "7 10"]) -> mujoco.MjModel:
-    """The hidden arm."""
+    """Compile the hidden arm."""
     values = {**bench.initial_values(), "armature": TRUTH["armature"], "delay": np.zeros(7)}
     model = mujoco.MjModel.from_xml_string(bench.mjcf(values, TRUTH["frictionloss"], TRUTH["damping"]))
     for body, own in enumerate(links, 1):
         put_parameters(model, body, own)
     model.opt.timestep = STEP
-    model.dof_solref[:] = [0.002, 1.0]  # a stick that creeps less than MuJoCo's default
+    model.dof_solref[:] = [0.002, 1.0]  # sticking joints creep less than with MuJoCo's default
     return model
 
 
 def record(model: mujoco.MjModel, seconds: float, seed: int, rng: np.random.Generator) -> Log:
-    """Sums of waves in each joint, under a controller whose torques act late."""
+    """Record sums of sines in each joint, under a controller with delayed torques."""
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (5, 7))
     rates = 2 * np.pi * np.array([0.1, 0.23, 0.41, 0.67, 1.1])[:, None]
     sizes = (
@@ -162,7 +162,7 @@ def record(model: mujoco.MjModel, seconds: float, seed: int, rng: np.random.Gene
 def identify(
     recordings: Recordings, links: Float[np.ndarray, "7 10"], bandwidth: float, sure: float
 ) -> list[dict[str, Any]]:
-    """What is found with this bandwidth, a row a quantity."""
+    """Identify with this bandwidth; return one row per quantity."""
     fit, began = InverseDynamics(bandwidth=bandwidth, links="link.*"), time.perf_counter()
     with watched() as seen:
         found = fit.revise(recordings)
@@ -180,7 +180,7 @@ def identify(
 def solve(
     fit: InverseDynamics, recordings: Recordings
 ) -> tuple[dict[str, Float[np.ndarray, "7"]], dict[str, Float[np.ndarray, "7"]]]:
-    """Values by name with these links, and their relative standard errors."""
+    """Identify the drives with these links; return values and relative standard errors by name."""
     space = Space(recordings.bench, recordings.model, "float64")
     equation = TorqueEquation(space, recordings, fit.filtering, fit.held)
     found = balance(equation.lack, equation.slope, equation.box, equation.moving)
@@ -198,7 +198,7 @@ def row_of(
     wrong: Float[np.ndarray, "n"],
     sure: float,
 ) -> dict[str, Any]:
-    """Errors of what is determined, in per cent."""
+    """Return the errors of the determined values, in per cent."""
     told = errors < sure
     off = 100 * np.abs(came / true - 1)[told]
     return {
@@ -215,18 +215,18 @@ def row_of(
 def base_row(
     found: LinkInertia, recordings: Recordings, links: Float[np.ndarray, "7 10"], sure: float
 ) -> dict[str, Any]:
-    """The same of the base parameters: combinations of links, armatures, friction and delay."""
+    """Return the row of the base parameters: combinations of link inertia, armature, friction and delay."""
     space = Space(recordings.bench, recordings.model, "float64")
     told = (label.partition("/") for label in space.labels)
     drives = [TRUTH[name.partition(".")[2]][JOINTS.index(joint) if joint else 0] for name, _, joint in told]
     true, wrong = (found.base.matrix @ np.concatenate([drives, own.ravel()]) for own in (links, found.maker))
-    tiny = np.abs(true) < 1e-12  # of links that are symmetric
+    tiny = np.abs(true) < 1e-12  # zero because links are symmetric
     relative = np.where(tiny, np.inf, found.errors / np.maximum(np.abs(found.values), 1e-12))
     return row_of("base parameters", np.where(tiny, 1.0, true), found.values, relative, wrong, sure)
 
 
 def say(found: LinkInertia, seen: list[bool], bandwidth: float, seconds: float) -> None:
-    """What is not in the table."""
+    """Print results that the table omits."""
     steps = f"a body of matter at {sum(seen)} of {len(seen)} steps"
     print(f"{bandwidth:g} Hz: {seconds:.0f} s; each link {steps}")
     rows = zip(found.base.describe(), found.determined, strict=True)
@@ -236,7 +236,7 @@ def say(found: LinkInertia, seen: list[bool], bandwidth: float, seconds: float) 
 
 @contextlib.contextmanager
 def watched() -> Iterator[list[bool]]:
-    """Whether the links of each step of a fit are bodies of matter, in the list that it gives."""
+    """Yield a list that records at each fit step whether all link inertias are physically consistent."""
     seen, look = list[bool](), Links.prior
 
     def watch(links: Links, parameters: Float[np.ndarray, "bodies 10"]) -> Any:

@@ -1,9 +1,9 @@
-"""What a robot's branches are worth: normal equations of a quadruped leg by leg and as one problem.
+"""Normal equations of a quadruped, computed leg by leg and as one problem.
 
     FRICTIONZOO_DATA=FOLDER python benchmarks/branches.py
 
-`experiment=go2_torque`: legs that do not move each other, each with parameters of its own. The simulation is the same;
-leg by leg, a derivative is taken where a parameter acts, and legs share tangents.
+In `experiment=go2_torque` the legs neither move each other nor share parameters. Both variants run the same simulation;
+leg by leg, derivatives are computed only where a parameter acts, and legs share tangents.
 """
 
 import argparse
@@ -36,9 +36,9 @@ COLUMNS = {
 
 
 def main() -> None:
-    """Each way in each precision, and their table."""
+    """Measure each variant in each precision and report a table."""
     options = parse()
-    jax.config.update("jax_enable_compilation_cache", False)  # times are those of a first run
+    jax.config.update("jax_enable_compilation_cache", False)  # time a first run
     rows = []
     for dtype in options.dtypes:
         jax.config.update("jax_enable_x64", dtype == "float64")
@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("branches", __doc__)
     parser.add_argument("--dtypes", nargs="+", choices=("float64", "float32"), default=["float64", "float32"])
     parser.add_argument("--segments", type=int, default=150, metavar="N")
@@ -61,7 +61,7 @@ def parse() -> argparse.Namespace:
 
 
 def measure(way: str, dtype: str, segments: int, length: int) -> tuple[dict[str, Any], Any]:
-    """The time of one evaluation, and what it gives."""
+    """Time one evaluation; return its row and its result."""
     settings: Any = OmegaConf.to_container(compose_config("experiment=go2_torque"), resolve=True)
     bench = build(settings["bench"])
     model = build(settings["model"], nv=bench.nv)
@@ -82,7 +82,7 @@ def measure(way: str, dtype: str, segments: int, length: int) -> tuple[dict[str,
 
 
 def difference(found: Any, expected: Any) -> float:
-    """Largest one of loss, gradient and second derivative, over the largest entry of each."""
+    """Return the largest difference in loss, gradient and second derivative, relative to the largest entry of each."""
     pairs = zip(found[:3], expected[:3], strict=True)
     return max(float(np.abs(one - other).max() / np.abs(other).max()) for one, other in pairs)
 

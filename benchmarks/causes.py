@@ -1,11 +1,10 @@
-"""Whether the first finding of a run names what is wrong with a log or a bench, on drives that nobody knows.
+"""Share of runs on hidden drives whose first finding names the fault of the log or the bench.
 
     python benchmarks/causes.py
     python benchmarks/causes.py --causes clipping gear exact --folder runs
 
-Each log is that of a hidden drive of `newcomer.py`, made by `event_exact.py`, or by `_play` where there is backlash.
-One thing is wrong with it, or with what the command line says of it. The `exact` logs have nothing wrong, and no cause
-may be named.
+Each log comes from a hidden drive of `newcomer.py`, simulated by `event_exact.py`, or by `_play` for backlash. Either
+the log or its command line has one fault. The `exact` logs have no fault, and no finding may name a cause.
 """
 
 import argparse
@@ -25,9 +24,9 @@ from jaxtyping import Float
 from measure import make_parser, report
 from newcomer import Hidden
 
-SEED = 900  # of the first drive
-CLIPPED = 0.985  # quantile of the commanded torque at which the motor's ends
-LAGS = 0.006, 0.012  # s, by which velocities are late
+SEED = 900  # seed of the first drive
+CLIPPED = 0.985  # the motor's limit is this quantile of the commanded torque
+LAGS = 0.006, 0.012  # s, delay of the velocity
 EXACT = "coulomb", "late", "stribeck", "load", "sticking", "directional"
 COLUMNS = {
     "cause": "cause",
@@ -47,15 +46,16 @@ Log = dict[str, Float[np.ndarray, "time"]]
 
 @dataclass(frozen=True)
 class Case:
-    """A drive, and what is wrong with its log or its bench.
+    """Hidden drive with a fault in its log or its bench.
 
     Attributes:
-        hidden: What is true.
-        stated: What the command line says.
-        pattern: Of a finding, or of an identified parameter, that names the cause; empty where nothing is wrong.
-        law: That is fitted; None for the drive's.
-        spoil: What becomes of the log's columns.
-        gap: Of the gear [rad].
+        hidden: True drive.
+        stated: Drive that the command line describes.
+        pattern: Regular expression of a finding, or of an identified parameter, that names the cause; empty without a
+            fault.
+        law: Fitted model; None for the drive's model.
+        spoil: Function that puts the fault into the log's columns; None for no change.
+        gap: Backlash of the gear [rad].
     """
 
     hidden: Hidden
@@ -93,7 +93,7 @@ def make_case(cause: str, seed: int) -> Case:
         return Case(replace(plain, links=[heavier]), plain, "payload|mass")
     if cause == "gear":
         return Case(replace(plain, drives=[replace(drive, gain=(1.2, 0.83)[second])]), plain, "gear|gain")
-    if cause == "gear_friction":  # a ripple and a part that goes with the load, of which the law has neither
+    if cause == "gear_friction":  # ripple and load-dependent friction, which the model lacks
         own = {"load": (0.15, 0.1)[second], "ripple": (0.3, 0.2)[second] * drive.forward, "periods": 12.0}
         return Case(replace(plain, drives=[replace(drive, **own)]), plain, "harmonic_drive|load on the gear")
     if cause == "presliding":
@@ -111,7 +111,7 @@ CAUSES += ("gear_friction",)
 
 
 def _ctrl(hidden: Hidden) -> Float[np.ndarray, "time nv"]:
-    """Return the command that `record` gives such a drive."""
+    """Return the command that `Hidden.record` gives this drive."""
     with tempfile.TemporaryDirectory() as scratch:
         hidden.record(Path(scratch) / "log")
         return _read(Path(scratch) / "log" / "log0.csv")["ctrl"][:, None]
@@ -140,9 +140,9 @@ def _round_time(log: Log, quantum: float) -> Log:
 
 
 def _play(hidden: Hidden, ctrl: Float[np.ndarray, "time nv"], gap: float) -> Motion:
-    """Return the motion of the link behind a gear with play, whose rotor has armature and friction.
+    """Return the motion of a link behind a gear with backlash, whose rotor has armature and friction.
 
-    A coupling of 4000 N m/rad in contact, semi-implicit Euler in steps of 10 us, dry friction by its limits.
+    The coupling has 4000 N m/rad in contact. Semi-implicit Euler in steps of 10 us; dry friction clips to its limits.
     """
     import jax
     import jax.numpy as jnp
@@ -173,7 +173,7 @@ def _play(hidden: Hidden, ctrl: Float[np.ndarray, "time nv"], gap: float) -> Mot
 
 
 def record(case: Case, folder: Path) -> list[str]:
-    """Write the logs and the stand, and return the options of the run."""
+    """Write the logs and the stand's MJCF; return the options of the run."""
     case.hidden.record(folder)
     (folder / "stand.xml").write_text(write_mjcf(case.stated.links, case.stated.names))
     path = folder / "log0.csv"
@@ -190,7 +190,7 @@ def record(case: Case, folder: Path) -> list[str]:
 
 
 def run(cause: str, seed: int, folder: Path, more: list[str]) -> dict[str, Any]:
-    """One command, and whether the first finding names the cause; of an exact log, whether none names any."""
+    """Run one command; check that the first finding names the cause or, for an exact log, that none names any."""
     case, out = make_case(cause, seed), folder / "run"
     command = [sys.executable, "-m", "frictionzoo.run", *record(case, folder), f"hydra.run.dir={out}", *more]
     finished = subprocess.run(command, capture_output=True, text=True)
@@ -223,7 +223,7 @@ def _names_a_cause(finding: Mapping[str, Any]) -> bool:
 
 
 def main() -> None:
-    """Each case, and their table."""
+    """Run each case and report a table."""
     options = parse()
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
@@ -240,7 +240,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("causes", __doc__)
     parser.add_argument("--causes", nargs="+", choices=(*CAUSES, "exact"), default=[*CAUSES, "exact"])
     parser.add_argument("--drives", type=int, default=2, metavar="N", help="of each cause")

@@ -1,9 +1,8 @@
-"""What the check-up before a fit finds: `python benchmarks/checkup.py`.
+"""Detected faults and false alarms of the pre-fit diagnostics (check-up): `python benchmarks/checkup.py`.
 
-Every fault of a list is made on good recordings of several data sets, one at a time, and the check-up says what it
-finds: refused (E), told as a warning (W) or nothing (-), with ! where the option that mends it is not named; an empty
-cell where there is no such fault. Then good recordings are checked one by one, and all that is said of them is a false
-alarm. Nothing is fitted.
+Good recordings of several data sets get one fault of a list at a time. A cell shows the answer: error (E), warning (W)
+or nothing (-). A ! marks a message without the correcting option; a cell is empty if the data set cannot have the
+fault. Then good recordings are checked one by one; every finding on them is a false alarm. Nothing is fitted.
 """
 
 import argparse
@@ -28,8 +27,8 @@ from frictionzoo.logs.signals import estimate_velocity
 
 FAULTY = ("twin_clean", "emps", "sts3215", "go2", "tx40")
 GOOD = ("go2", "sts3215", "xl330", "emps", "tx40", "kuka_lwr4", "twin", "twin_clean", "two_inertia")
-SEEDS = (3, 4, 5)  # of further simulated recordings
-LOGS = 4  # of a data set that get a fault
+SEEDS = (3, 4, 5)  # seeds of additional simulated recordings
+LOGS = 4  # logs per data set that get a fault
 GEAR = 30.0
 COMMANDS = ("ctrl", "ctrl_velocity", "ctrl_torque")
 OTHER_BENCH = {"hinge": "emps", "slide": "knee"}
@@ -42,8 +41,8 @@ class Stand:
 
     Attributes:
         bench: The test stand.
-        logs: That it has accepted.
-        estimated: Whether their velocity is an estimate from the position.
+        logs: Logs that the bench accepted.
+        estimated: Whether the velocity is estimated from the position.
     """
 
     bench: Bench
@@ -52,48 +51,48 @@ class Stand:
 
     @property
     def to_position(self) -> bool:
-        """Whether commands are desired positions."""
+        """Return whether commands are desired positions."""
         return takes_position(self.bench)
 
 
 @cache
 def load(name: str, *overrides: str) -> Stand:
-    """A data set on its bench.
+    """Load a data set with its bench.
 
     Args:
-        name: Of the data set.
-        overrides: Of the configuration.
+        name: Name of the data set.
+        overrides: Overrides of the configuration.
     """
     config = cast(dict[str, Any], OmegaConf.to_container(compose_config(f"data={name}", *overrides), resolve=True))
     bench, dataset = build(config["bench"]), build(config["data"]).load()
-    # The end of a recording that was held out by time is a piece of what stands before it.
+    # A part held out by time belongs to the same recording as its training part.
     logs = tuple(log for log in bench.accept_all(dataset).logs if not log.name.endswith("[test]"))
     estimated = any("estimated" in repair for log in logs for repair in log.repairs) or name == "emps"
     return Stand(bench, logs, estimated)
 
 
 def spread(logs: tuple[Log, ...], count: int) -> tuple[Log, ...]:
-    """So many logs, spread evenly."""
+    """Return at most `count` logs, evenly spread."""
     return tuple(logs[len(logs) * at // count] for at in range(count)) if len(logs) > count else logs
 
 
 Maker = Callable[[Log, Stand], Log | None]
-"""A recording with a fault; None where it cannot have that."""
+"""Function that returns a recording with a fault; None if it cannot have the fault."""
 
 
 def scale(log: Log, qpos: float = 1.0, ctrl: float = 1.0) -> Log:
-    """With other units of position and velocity, and of the command."""
+    """Change the units of position and velocity, and of the command."""
     return replace(log, qpos=qpos * log.qpos, qvel=qpos * log.qvel, ctrl=ctrl * log.ctrl)
 
 
 def turn(log: Log, signs: Any) -> Log:
-    """With commands of these signs, one a joint or one for all."""
+    """Multiply the commands by signs, one per joint or one for all."""
     inputs = {name: signs * values if name in COMMANDS else values for name, values in log.inputs.items()}
     return replace(log, ctrl=signs * log.ctrl, inputs=inputs)
 
 
 def order(log: Log, whole: bool) -> Log | None:
-    """With the first two joints' commands swapped, or with the joints themselves."""
+    """Swap the first two joints' commands or, if `whole`, the joints; None for a single joint."""
     if log.qpos.shape[1] < 2:
         return None
     other = np.arange(log.qpos.shape[1])
@@ -104,19 +103,19 @@ def order(log: Log, whole: bool) -> Log | None:
 
 
 def late(values: np.ndarray, timestep: float, seconds: float) -> np.ndarray:
-    """A signal that was recorded so late."""
+    """Delay a signal by `seconds`."""
     samples = round(seconds / timestep)
     return np.concatenate([np.repeat(values[:1], samples, axis=0), values[: len(values) - samples]])
 
 
 def estimate(log: Log, qpos: np.ndarray) -> np.ndarray:
-    """Velocity of other positions."""
+    """Estimate the velocity of other positions."""
     cutoff = min(20.0, 0.2 / log.timestep)
     return np.stack([estimate_velocity(column, log.timestep, cutoff, 2, log.name) for column in qpos.T], axis=1)
 
 
 def turn_one(log: Log, stand: Stand) -> Log | None:
-    """With one joint whose direction is not the bench's."""
+    """Reverse the direction of the second joint; None for a single joint."""
     if stand.bench.nv < 2:
         return None
     signs = np.where(np.arange(stand.bench.nv) == 1, -1.0, 1.0)
@@ -124,35 +123,35 @@ def turn_one(log: Log, stand: Stand) -> Log | None:
 
 
 def forget_gear(log: Log, stand: Stand) -> Log:
-    """With positions of the motor, or its torque."""
+    """Log the motor's positions instead of the joint's, or the motor's torque."""
     return scale(log, qpos=GEAR) if stand.to_position else scale(log, ctrl=1 / GEAR)
 
 
 def milliseconds(log: Log, stand: Stand) -> Log:
-    """With times in milliseconds, read as seconds."""
+    """Write times in milliseconds, which are read as seconds."""
     return replace(log, time=1e3 * log.time, qvel=log.qvel / 1e3 if stand.estimated else log.qvel)
 
 
 def invent_velocity(log: Log, stand: Stand) -> Log:
-    """With a velocity of another motion of the same size."""
+    """Replace the velocity with another motion's velocity of the same size."""
     noise = np.random.default_rng(SEED).normal(size=log.qpos.shape)
     other = estimate(log, np.cumsum(noise, axis=0))
     return replace(log, qvel=other * log.qvel.std(axis=0) / other.std(axis=0))
 
 
 def cut_off(log: Log, stand: Stand) -> Log:
-    """With a command within half of its values."""
+    """Clip the command to its middle quartiles."""
     return replace(log, ctrl=np.clip(log.ctrl, *np.quantile(log.ctrl, [0.25, 0.75], axis=0)))
 
 
 def stand_still(log: Log, stand: Stand) -> Log:
-    """With a drive that was off: its encoder's last step flickers."""
+    """Stop the drive, as if it were off: only the encoder's last step flickers."""
     flicker = np.random.default_rng(SEED).integers(0, 2, log.qpos.shape)
     return replace(log, qpos=log.qpos[:1] + 1e-4 * flicker, qvel=0 * log.qvel)
 
 
 def never_reverse(log: Log, stand: Stand) -> Log:
-    """With all motion in one direction, and commands that asked for it."""
+    """Turn all motion into one direction, with matching commands."""
     steps = np.diff(log.qpos, axis=0, prepend=log.qpos[:1])
     qpos = log.qpos[:1] + np.cumsum(np.abs(steps), axis=0)
     asked = (log.ctrl - log.qpos) * np.sign(log.qvel) + qpos if stand.to_position else log.ctrl * np.sign(log.qvel)
@@ -160,7 +159,7 @@ def never_reverse(log: Log, stand: Stand) -> Log:
 
 
 def keep_speed(log: Log, stand: Stand) -> Log:
-    """With the path of each joint at one speed, and the commands that stood beside it."""
+    """Move each joint along its path at constant speed, with the commands of each point."""
     signals = {"qpos": log.qpos.copy(), "ctrl": log.ctrl.copy()}
     for joint in range(log.qpos.shape[1]):
         smooth = np.cumsum(log.qvel[:, joint]) * log.timestep
@@ -172,7 +171,7 @@ def keep_speed(log: Log, stand: Stand) -> Log:
 
 
 def alias(log: Log, stand: Stand) -> Log:
-    """With so few samples, up to 0.5 s apart, that a tenth of the motion's power is above half their rate."""
+    """Keep so few samples, up to 0.5 s apart, that a tenth of the motion's power lies above half their rate."""
     moved = log.qvel - log.qvel.mean(axis=0)
     power = np.cumsum((np.abs(np.fft.rfft(moved, axis=0)) ** 2).sum(axis=1))
     middle = np.fft.rfftfreq(log.samples, log.timestep)[np.searchsorted(power, 0.9 * power[-1])]
@@ -183,7 +182,7 @@ def alias(log: Log, stand: Stand) -> Log:
 
 
 def drift(log: Log, stand: Stand) -> Log:
-    """With a clock of the commands that is 0.4 s ahead at the end."""
+    """Let the clock of the commands drift to 0.4 s ahead at the end."""
     duration = log.time[-1] - log.time[0]
     read = log.time[0] + (log.time - log.time[0]) * (1 - 0.4 / duration)
     inputs = {name: move(log, values, read) if name in COMMANDS else values for name, values in log.inputs.items()}
@@ -191,7 +190,7 @@ def drift(log: Log, stand: Stand) -> Log:
 
 
 def move(log: Log, values: np.ndarray, read: np.ndarray) -> np.ndarray:
-    """Signals at other times."""
+    """Interpolate signals at other times."""
     return np.stack([np.interp(read, log.time, column) for column in values.T], axis=1)
 
 
@@ -237,33 +236,33 @@ FAULTS: Mapping[str, tuple[Maker, str]] = {
         r"bench\.actuator|bench\.params|data\.units",
     ),
 }
-"""How each fault is made, and what the sentence has to say that mends it."""
+"""Function that makes each fault, and pattern of the right correction in a finding."""
 
 
 def hinged(stand: Stand) -> bool:
-    """Whether its joints are hinges."""
+    """Return whether the joints are hinges."""
     return stand.bench.joint_type == "hinge"
 
 
 def find(logs: tuple[Log, ...], bench: Bench) -> list[Finding]:
-    """What the check-up finds on logs."""
+    """Return the findings of the diagnostics on these logs."""
     return list(find_all(Dataset("checked", logs, logs[:1]), bench))
 
 
 def judge(fault: str, stand: Stand) -> tuple[str, str] | None:
-    """How a fault is found on a data set, and in which words; None where it cannot have it."""
+    """Return the mark and the findings' text for a fault on a data set; None if it cannot have the fault."""
     make, mend = FAULTS[fault]
     spoilt = tuple(log for log in (make(log, stand) for log in spread(stand.logs, LOGS)) if log is not None)
     if not spoilt:
         return None
-    spoilt = spoilt[:1] if fault == "one speed only" else spoilt  # each recording has its own
+    spoilt = spoilt[:1] if fault == "one speed only" else spoilt  # the speed differs between recordings
     bench = stand.bench
     if fault.startswith("another bench"):
         config = OmegaConf.to_container(compose_config(f"bench={OTHER_BENCH[bench.joint_type]}"), resolve=True)
         bench = build(cast(dict[str, Any], config)["bench"])
         spoilt = tuple(replace(log, inputs={}, load=np.zeros(0)) for log in spoilt)
     found = find(spoilt, bench)
-    # What a user sees: the first that is refused, or all that is told.
+    # A user sees the first error, or else all warnings.
     certain = [finding for finding in found if finding.certain][:1]
     said = [finding.text for finding in certain or found]
     right = any(re.search(mend, text) for text in said)
@@ -271,7 +270,7 @@ def judge(fault: str, stand: Stand) -> tuple[str, str] | None:
 
 
 def measure_faults(names: list[str]) -> Iterator[dict[str, Any]]:
-    """A row for each fault."""
+    """Yield a row for each fault."""
     for fault in FAULTS:
         began = time.perf_counter()
         cells = {name: judge(fault, load(name)) for name in names}
@@ -291,7 +290,7 @@ def measure_faults(names: list[str]) -> Iterator[dict[str, Any]]:
 
 
 def measure_good(names: list[str], most: int) -> Iterator[dict[str, Any]]:
-    """A row for each data set, of good recordings that are checked one by one."""
+    """Yield a row for each data set of good recordings, which are checked one by one."""
     stands = [(name, load(name)) for name in names]
     for name in ("twin_clean",) if "twin_clean" in names else ():
         stands += [(f"{name} seed={seed}", load(name, f"data.seed={seed}")) for seed in SEEDS]
@@ -311,7 +310,7 @@ def measure_good(names: list[str], most: int) -> Iterator[dict[str, Any]]:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("checkup", __doc__)
     parser.add_argument("--data", nargs="*", default=FAULTY, help="data sets on whose recordings faults are made")
     parser.add_argument("--good", nargs="*", default=GOOD, help="data sets whose recordings are checked as they are")
@@ -321,7 +320,7 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Check, print, write."""
+    """Check, print and write the results."""
     options = parse()
     faults = list(measure_faults(list(options.data)))
     names = {name: name for name in options.data}

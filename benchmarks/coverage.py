@@ -1,13 +1,13 @@
-"""How often 95 % intervals hold the truth, over many simulated data sets of one drive.
+"""Coverage of 95 % confidence intervals over many simulated data sets of one drive.
 
     python benchmarks/coverage.py
     python benchmarks/coverage.py --cases load --logs 50 --recordings 1
 
-Each data set is ten recordings, each with another excitation and other noise, of a drive that sticks and slides from
-event to event (`event_exact.py`), which knows nothing of MuJoCo and its friction constraint. With the right law, the
-share of data sets whose interval holds the true value counts, for each parameter. Where the law lacks a term, there is
-no true value: then the share of speeds counts at which the drive's mean friction lies within the band of curves that
-are drawn from the intervals.
+Each data set has ten recordings (`--recordings`) with different excitation and noise. `event_exact.py` simulates the
+drive's sticking and sliding from event to event, without MuJoCo and its friction constraint. With the right model, the
+table gives for each parameter the share of data sets whose interval contains the true value. A model that lacks a term
+has no true values. The table therefore also gives, for every model, the share of speeds at which the drive's mean
+friction lies within the band of curves drawn from the intervals.
 """
 
 import argparse
@@ -42,15 +42,15 @@ from frictionzoo.logs.twin import Excitation
 from frictionzoo.models.base import sliding_torque
 
 RATE, SECONDS = 200, 20  # Hz, s of each data set
-TIMESTEP = 1e-3  # s, of the fitted simulation, as the automatic settings choose it
+TIMESTEP = 1e-3  # s, simulation timestep of the fit, as automatic settings choose it
 POSITION_NOISE, VELOCITY_NOISE = 2e-4, 0.02  # rad, rad/s
 EXCITATION = Excitation(12, (0.2, 1.0), (0.5, 10.0), (0.0, 2 * np.pi), 4.0)
 ROD = Link(-1, (0, 1, 0), (0, 0, 0), 0.26, (0, 0, -0.1127), (0.0011, 0.0011, 0.0011))  # of knee_rod.xml
 GRAVITY_TORQUE = 9.81 * 0.26 * 0.1127  # N m, of the rod at 90 degrees
 DRAWS, SPEEDS = 1000, 40
-NEAREST = 1 / 400  # of all samples, on either side of a speed, make its mean friction
+NEAREST = 1 / 400  # share of all samples, on either side of a speed, for its mean friction
 
-DRIVE = Drive(armature=0.05, viscous=0.2, forward=0.25, kp=20.0, kd=1.0)  # gains as published of the bench
+DRIVE = Drive(armature=0.05, viscous=0.2, forward=0.25, kp=20.0, kd=1.0)  # published gains of the bench
 STRIBECK = replace(DRIVE, breakaway=1.6, stribeck=0.2)
 CASES: dict[str, tuple[Drive, str]] = {
     "coulomb": (DRIVE, "mujoco_default"),
@@ -60,20 +60,20 @@ CASES: dict[str, tuple[Drive, str]] = {
     "load": (replace(DRIVE, load=0.38, forward=0.11), "mujoco_default"),
     "all": (replace(STRIBECK, load=0.38, ripple=0.1), "mujoco_default"),
 }
-"""Drive and fitted law. The first three laws are right."""
+"""Drive and fitted model. The first three models are right."""
 RIGHT = ("coulomb", "stribeck", "rounded")
 ENCODERS = {"rounded": 2 * np.pi / 2**12}
-"""Steps of the encoder of a case [rad]: its positions have no other noise, and errors count beyond half of it."""
+"""Encoder step of a case [rad]. Positions have no other noise, and errors count only beyond half a step."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Logs, and true values at their samples.
+    """Logs with true velocity and friction at their samples.
 
     Attributes:
-        logs: As measured.
-        qvel: Velocity [rad/s].
-        friction: Friction torque [N m]; NaN where the joint sticks.
+        logs: Measured logs.
+        qvel: True velocity [rad/s].
+        friction: True friction torque [N m]; NaN while the joint sticks.
     """
 
     logs: Sequence[Log]
@@ -82,7 +82,7 @@ class Recorded:
 
 
 def record(drive: Drive, count: int, first: int, seconds: float, encoder: float = 0.0) -> Recorded:
-    """Record so many logs, simulated from event to event."""
+    """Simulate `count` logs from event to event."""
     times, logs, states = np.arange(round(RATE * seconds)) / RATE, [], []
     for number in range(count):
         rng = np.random.default_rng(first + number)
@@ -98,7 +98,7 @@ def record(drive: Drive, count: int, first: int, seconds: float, encoder: float 
 
 
 def true_values(drive: Drive) -> dict[str, float]:
-    """Of the parameters of the right laws."""
+    """Return the true parameters of the right models."""
     return {
         "bench.armature": drive.armature,
         "friction.frictionloss": drive.forward,
@@ -110,7 +110,7 @@ def true_values(drive: Drive) -> dict[str, float]:
 
 
 class Fits:
-    """Fits of one law to one data set after the other; what the first compiles serves them all."""
+    """Fits of one model to one data set after another, all with the functions compiled for the first."""
 
     def __init__(self, law: fz.FrictionModel, logs: Sequence[Log], length: int, encoder: float = 0.0) -> None:
         stand = partial(fz.Bench, "knee_rod.xml", actuator=fz.PositionPD(kp=DRIVE.kp, kd=DRIVE.kd), second_order=True)
@@ -122,7 +122,7 @@ class Fits:
         self._law, self._curves = law, jax.jit(jax.vmap(self._curve, in_axes=(0, None)))
 
     def fit(self, logs: Sequence[Log]) -> tuple[np.ndarray, Uncertainty]:
-        """The best vector, and how far the logs determine it."""
+        """Fit these logs; return the best vector and its uncertainty."""
         objective, finer = self.pilot.objective, self._finer.objective
         segments = cut_segments([self.pilot.bench.accept(log) for log in logs], None, self._length)
         for own in (objective, finer):
@@ -132,7 +132,7 @@ class Fits:
         return vector, estimate_uncertainty(objective, vector, finer=lambda at: objective.approaching(finer, at))
 
     def curves(self, vectors: Float[np.ndarray, "draws coordinates"], speed: np.ndarray) -> np.ndarray:
-        """Friction over speed [N m] of each vector, (draws, speeds)."""
+        """Return friction over speed [N m] for each vector, (draws, speeds)."""
         return np.asarray(self._curves(jnp.asarray(vectors), jnp.asarray(speed)))
 
     def _curve(self, vector: Any, speed: Any) -> Any:
@@ -142,7 +142,7 @@ class Fits:
 
 
 def minimise(objective: Objective) -> np.ndarray:
-    """The best vector, by Levenberg-Marquardt without a record of its course, which is compiled for each fit."""
+    """Return the best vector of Levenberg-Marquardt, without the fit record, which would compile for each fit."""
     method = LevenbergMarquardt()
     vector, state = method.init(objective)
     tried = []
@@ -153,20 +153,20 @@ def minimise(objective: Objective) -> np.ndarray:
 
 
 def mean_friction(recorded: Recorded, speed: np.ndarray) -> np.ndarray:
-    """The drive's mean friction at each speed, over all that was visited in any log [N m]."""
+    """Return the drive's mean friction at each speed [N m], over the samples of all logs."""
     slides = np.isfinite(recorded.friction)
     qvel, friction = recorded.qvel[slides], recorded.friction[slides]
     order = np.argsort(qvel)
     count = math.ceil(NEAREST * len(qvel))
     at = np.clip(np.searchsorted(qvel[order], speed), count, len(qvel) - count)
-    # Symmetric in speed: a straight line through the nearest has its value where its middle is.
+    # Evaluate a line through the nearest samples at the speed, which need not be their mean.
     near = order[at[:, None] + np.arange(-count, count)]
     lines = [np.polyfit(qvel[own] - v, friction[own], 1)[1] for own, v in zip(near, speed, strict=True)]
     return np.array(lines)
 
 
 def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
-    """One case: a row of the table."""
+    """Run one case and return its row."""
     (drive, law_name), encoder = CASES[name], ENCODERS.get(name, 0.0)
     each = options.recordings
     recorded = record(drive, options.logs * each, options.first, SECONDS / each, encoder)
@@ -209,7 +209,7 @@ def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def hold_out(name: str, draws: int) -> dict[str, Any]:
-    """An experiment on real recordings: how much of those that only test is within the band of rollouts."""
+    """Run an experiment on real recordings; return the share of test positions within the prediction intervals."""
     settings = OmegaConf.to_container(compose_config(f"experiment={name}", "loop.progress=false"), resolve=True)
     parts = Parts.from_settings(cast(dict[str, Any], settings))
     with parts.computing() as place:
@@ -230,7 +230,7 @@ def hold_out(name: str, draws: int) -> dict[str, Any]:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("coverage", __doc__)
     parser.add_argument("--cases", nargs="*", choices=tuple(CASES), default=[*CASES])
     parser.add_argument(
@@ -246,7 +246,7 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Each case, each experiment, and their table."""
+    """Run each case and experiment, and report a table."""
     options = parse()
     rows = [hold_out(name, DRAWS // 10) for name in options.held_out]
     with jax.enable_x64(True):

@@ -1,7 +1,7 @@
-"""Whole jobs as a user starts them, cold and warm: `python benchmarks/end_to_end.py`.
+"""Wall time of whole jobs, cold and warm: `python benchmarks/end_to_end.py`.
 
-Each model is identified twice by `python -m frictionzoo.run model=MODEL`: with empty caches, as on the first day, and
-again with what the first run left in them. Options after `--` go to every run:
+`python -m frictionzoo.run model=MODEL` identifies each model twice: with empty caches, and again with the caches of the
+first run. Options after `--` go to every run:
 `python benchmarks/end_to_end.py --models baseline -- data.samples=30000`.
 """
 
@@ -36,13 +36,13 @@ MODELS = (
     "coulomb_stribeck",
     "neural_friction",
 )
-EXHAUSTIVE = ("mujoco_grid_search",)  # tries all combinations, whatever the number of iterations
+EXHAUSTIVE = ("mujoco_grid_search",)  # tries all combinations, regardless of iterations
 
 
 def main() -> None:
-    """Run, print, write."""
+    """Run all models, print and write the results."""
     options = parse()
-    run_python("-c", "import frictionzoo.cli.run")  # reads the packages from the disk, so that no model pays for it
+    run_python("-c", "import frictionzoo.cli.run")  # load packages from disk first, at no model's cost
     rows = []
     for model in options.models:
         rows.append(run_twice(model, overrides_of(model, options)))
@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("end_to_end", __doc__)
     parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS, metavar="MODEL", help=" ".join(MODELS))
     parser.add_argument("--iterations", type=int, metavar="N", help="fit.iterations of all models but the grid search")
@@ -61,13 +61,13 @@ def parse() -> argparse.Namespace:
 
 
 def overrides_of(model: str, options: argparse.Namespace) -> list[str]:
-    """The options of this model's runs."""
+    """Return the options of this model's runs."""
     shortened = options.iterations is not None and model not in EXHAUSTIVE
     return [*options.overrides, *([f"fit.iterations={options.iterations}"] if shortened else [])]
 
 
 def run_twice(model: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """A row of the run with empty caches and of the next."""
+    """Run a model with empty caches and then with filled ones; return the row."""
     row: dict[str, Any] = {"model": model}
     with tempfile.TemporaryDirectory() as folder:
         caches = [f"{option}={folder}/{option}" for option in ("compilation_cache", "data.cache_dir")]
@@ -83,10 +83,10 @@ def run_twice(model: str, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def run_python(*arguments: str) -> None:
-    """Run Python with these arguments to its end.
+    """Run Python with these arguments and wait for its end.
 
     Raises:
-        SystemExit: It failed; its message is on the standard error.
+        SystemExit: The process failed; its message is on standard error.
     """
     environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     finished = subprocess.run([sys.executable, *arguments], env=environment, stdout=subprocess.DEVNULL)

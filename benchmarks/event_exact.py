@@ -1,4 +1,4 @@
-"""Recordings of jointed drives with exact Coulomb friction, from `event_exact.c`, which knows nothing of MuJoCo."""
+"""Simulated recordings of jointed drives with exact Coulomb friction, by `event_exact.c` and without MuJoCo."""
 
 import ctypes
 import functools
@@ -14,22 +14,22 @@ import numpy as np
 from jaxtyping import Float
 
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
-STEP = 5e-6  # s, the longest
+STEP = 5e-6  # s, longest integration step
 _DRIVE = ("armature", "viscous", "forward", "backward", "breakaway", "stribeck", "load", "bristle", "kp", "kd", "delay")
 _DRIVE += ("torque_limit", "torque_offset", "gain", "ripple", "periods")
 
 
 @dataclass(frozen=True)
 class Link:
-    """A body on a hinge.
+    """Body on a hinge.
 
     Attributes:
         parent: Index of the link that carries it; -1 for the ground.
-        axis: Of the hinge, of length 1.
-        place: Of the hinge in the parent's frame [m].
-        mass: [kg].
+        axis: Unit vector of the hinge axis.
+        place: Hinge position in the parent's frame [m].
+        mass: Mass [kg].
         centre: Centre of mass in the link's frame [m].
-        inertia: About the centre, along the frame's axes [kg m^2].
+        inertia: Moments about the centre of mass, along the frame's axes [kg m^2].
     """
 
     parent: int
@@ -40,7 +40,7 @@ class Link:
     inertia: tuple[float, float, float]
 
     def with_payload(self, mass: float, at: tuple[float, float, float]) -> "Link":
-        """The link with a point mass [kg] at this place [m]."""
+        """Return the link with a point mass [kg] attached at a position [m]."""
         whole = self.mass + mass
         own, point = np.array(self.centre), np.array(at)
         centre = (self.mass * own + mass * point) / whole
@@ -53,25 +53,25 @@ class Link:
 
 @dataclass(frozen=True)
 class Drive:
-    """What moves and brakes a joint.
+    """Actuator, armature and friction of a joint.
 
     Attributes:
-        armature: [kg m^2].
-        viscous: [N m s/rad].
-        forward: Dry friction of a fast forward motion [N m].
-        backward: The same backward; None for `forward`.
-        breakaway: Dry friction at standstill over that.
-        stribeck: Speed over which the one goes over into the other [rad/s].
-        load: Dry friction over the torque that the gear passes on, the motor's less that from outside.
-        bristle: Stiffness of presliding [N m/rad]; 0 for none.
-        kp: Gain of position [N m/rad].
-        kd: Gain of velocity [N m s/rad].
-        delay: Of commands [s].
-        torque_limit: Of the motor [N m]; 0 for none.
+        armature: Armature [kg m^2].
+        viscous: Viscous coefficient [N m s/rad].
+        forward: Dry friction in fast forward motion [N m].
+        backward: Dry friction in fast backward motion [N m]; None for `forward`.
+        breakaway: Dry friction at standstill, relative to fast motion.
+        stribeck: Stribeck velocity [rad/s].
+        load: Dry friction per gear torque, which is the motor torque minus the external torque.
+        bristle: Presliding stiffness [N m/rad]; 0 for none.
+        kp: Position gain [N m/rad].
+        kd: Velocity gain [N m s/rad].
+        delay: Command delay [s].
+        torque_limit: Torque limit of the motor [N m]; 0 for none.
         torque_offset: Constant torque [N m].
-        gain: Over the gains that are known.
-        ripple: Amplitude of the dry friction's change with the position [N m].
-        periods: Of that in a turn.
+        gain: True gains relative to the known gains.
+        ripple: Amplitude of the dry friction's ripple over position [N m].
+        periods: Ripple periods per turn.
     """
 
     armature: float
@@ -97,7 +97,7 @@ class Drive:
         qpos: Float[np.ndarray, "_"] | float = 0.0,
         load: Float[np.ndarray, "_"] | float = 0.0,
     ) -> Float[np.ndarray, "_"]:
-        """Return the friction torque of a joint that slides at this position, under this load of its gear [N m]."""
+        """Return the friction torque [N m] of a sliding joint at this velocity, position and gear torque."""
         backward = self.forward if self.backward is None else self.backward
         dry = np.where(velocity < 0, backward, self.forward)
         dry = dry * (1 + (self.breakaway - 1) * np.exp(-np.square(velocity / self.stribeck)))
@@ -106,7 +106,7 @@ class Drive:
 
 
 class Motion(NamedTuple):
-    """States at samples, of shape (time, joints), and the share of time that joints stick."""
+    """States at samples, of shape (time, joints), and the share of time in which joints stick."""
 
     qpos: Float[np.ndarray, "time nv"]
     qvel: Float[np.ndarray, "time nv"]
@@ -116,7 +116,7 @@ class Motion(NamedTuple):
 def simulate(
     links: Sequence[Link], drives: Sequence[Drive], ctrl: Float[np.ndarray, "time nv"], interval: float
 ) -> Motion:
-    """Return the motion under commands that are held for an interval [s] each, from rest at the first of them."""
+    """Return the motion from rest at the first command; each command is held for an interval [s]."""
     count, samples = len(links), len(ctrl)
     geometry = np.array(
         [[*of.axis, *of.place, of.mass, *of.centre, *np.diag(of.inertia).ravel()] for of in links], np.float64
@@ -155,7 +155,7 @@ def _library() -> ctypes.CDLL:
 
 
 def write_mjcf(links: Sequence[Link], names: Sequence[str], timestep: float = 0.001) -> str:
-    """Return the links as MJCF, without armatures and friction."""
+    """Return the links as MJCF, without armature and friction."""
     children: dict[int, list[int]] = {}
     for index, link in enumerate(links):
         children.setdefault(link.parent, []).append(index)
@@ -176,13 +176,13 @@ def write_mjcf(links: Sequence[Link], names: Sequence[str], timestep: float = 0.
 
 
 def round_to(qpos: Float[np.ndarray, "time nv"], bits: int) -> Float[np.ndarray, "time nv"]:
-    """Return positions as an encoder of so many bits a turn reads them."""
+    """Round positions to an encoder with this many bits per turn."""
     step = 2 * np.pi / 2**bits
     return np.round(qpos / step) * step
 
 
 def filter_velocity(qpos: Float[np.ndarray, "time nv"], interval: float, cutoff: float) -> Float[np.ndarray, "time nv"]:
-    """Return backward differences of positions behind a first-order low-pass [Hz], as drives compute velocities."""
+    """Return backward differences of positions after a first-order low-pass [Hz], as drives compute velocity."""
     raw = np.diff(qpos, axis=0, prepend=qpos[:1]) / interval
     share, out = 1 - math.exp(-2 * np.pi * cutoff * interval), np.zeros_like(raw)
     for at in range(1, len(raw)):

@@ -1,8 +1,9 @@
-"""What a designed command is worth: `python benchmarks/excitation.py`.
+"""Confidence intervals from a designed command: `python benchmarks/excitation.py`.
 
-The hidden drive of `data=twin_clean` is recorded twice in MuJoCo C, for as long and with the same sensors: under the
-paper's five harmonics, and under the command that `frictionzoo.excite` designs from the drive found on these, within
-their ranges of position, speed and torque. Intervals are predicted, and then those of `fit=lm segments.length=1000`.
+MuJoCo C records the hidden drive of `data=twin_clean` twice, with the same duration and sensors: under the paper's five
+harmonics, and under the command that `frictionzoo.excite` designs from the drive identified on the first recording,
+within its ranges of position, speed and torque. The table compares predicted intervals with those of
+`fit=lm segments.length=1000`.
 """
 
 import argparse
@@ -36,7 +37,7 @@ COLUMNS = {
     "narrower": "found",
     "off": "value off by [%]",
 }
-HIDDEN = {  # of the law, by the twin's names
+HIDDEN = {  # the model's parameters and the twin's names for them
     "bench.armature": "armature",
     "friction.static_torque": "static_torque",
     "friction.kinetic_torque": "coulomb_torque",
@@ -46,7 +47,7 @@ HIDDEN = {  # of the law, by the twin's names
 
 
 def main() -> None:
-    """Record, identify, design, record, identify; print and write."""
+    """Record and identify with both commands; print and write the results."""
     options = parse()
     settings = compose(options)
     twin: Twin = build(settings["data"])
@@ -72,7 +73,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("excitation", __doc__)
     parser.add_argument("--starts", type=int, default=4, metavar="N", help="searches")
     parser.add_argument("--iterations", type=int, default=1500, metavar="N", help="steps of each")
@@ -82,15 +83,15 @@ def parse() -> argparse.Namespace:
 
 
 def compose(options: argparse.Namespace) -> dict[str, Any]:
-    """The settings of a run of `twin_clean` that finds every parameter."""
+    """Return the settings of a `twin_clean` run that identifies every parameter."""
     fit = ("fit=lm", "segments.length=1000", "segments.count=null", "bench.timestep=0.00025", "loop.progress=false")
-    fit += ("discretisation=false",)  # intervals of what the recording tells; what the step adds is the same for both
+    fit += ("discretisation=false",)  # the timestep would widen both intervals equally
     config = compose_config("experiment=twin_clean", *fit, *options.overrides)
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 
 
 def record(twin: Twin, ctrl: np.ndarray) -> tuple[Dataset, dict[str, float]]:
-    """A recording of the hidden drive under this command [rad], and the lowest and highest that was reached."""
+    """Record the hidden drive under this command [rad]; return the data and the ranges reached."""
     qpos, qvel = twin.simulate(ctrl)
     torque = twin.controller.kp * (ctrl[:, None] - qpos) - twin.controller.kd * qvel
     reached = {
@@ -107,7 +108,7 @@ def record(twin: Twin, ctrl: np.ndarray) -> tuple[Dataset, dict[str, float]]:
 
 
 def identify(settings: dict[str, Any], dataset: Dataset) -> Identified:
-    """The drive that a run finds."""
+    """Return the drive that a run identifies."""
     bench = build(settings["bench"])
     parts = Parts.settle(settings, bench, dataset, build(settings["model"], nv=bench.nv), build(settings["fit"]))
     with parts.computing() as device:
@@ -115,7 +116,7 @@ def identify(settings: dict[str, Any], dataset: Dataset) -> Identified:
 
 
 def ask(options: argparse.Namespace, twin: Twin, reached: dict[str, float]) -> dict[str, str]:
-    """Options of the design: a command as long, within what the harmonics reached, for the same sensors."""
+    """Return the options of the design: the harmonics' duration, ranges and sensors."""
     given = {
         "position": [reached["lowest position"], reached["highest position"]],
         "velocity": reached["speed"],
@@ -124,11 +125,11 @@ def ask(options: argparse.Namespace, twin: Twin, reached: dict[str, float]) -> d
         "rate": 1 / twin.timestep,
         "period": options.period,
         "bandwidth": 20,  # Hz
-        "margin": 0.02,  # the drive is known well
+        "margin": 0.02,  # the drive is well known
         "quantum": twin.sensor.position_quantum,
         "velocity_noise": twin.sensor.velocity_noise,
-        "bench.timestep": twin.timestep,  # a design needs no finer one
-        "criterion": "worst",  # so that every interval gets narrower, and not only their product
+        "bench.timestep": twin.timestep,  # a design needs no finer timestep
+        "criterion": "worst",  # narrow every interval, not only their product
         "starts": options.starts,
         "iterations": options.iterations,
     }
@@ -136,7 +137,7 @@ def ask(options: argparse.Namespace, twin: Twin, reached: dict[str, float]) -> d
 
 
 def foresee(request: dict[str, str], run: Identified, ctrl: np.ndarray) -> dict[str, float]:
-    """Half of each interval that a recording of this command will lead to, as a share of the value, by name."""
+    """Predict half of each interval after a recording of this command, as a share of the value, by name."""
     with computing("float64"):
         task = prepare(Request.read(request, run), run)
         speed = np.gradient(ctrl, task.sensitivity.sampling.interval)
@@ -147,7 +148,7 @@ def foresee(request: dict[str, str], run: Identified, ctrl: np.ndarray) -> dict[
 def compare(
     name: str, twin: Twin, harmonics: tuple[Identified, float], designed: tuple[Identified, float]
 ) -> dict[str, Any]:
-    """A row: how well a parameter is known after each recording, as predicted and as found."""
+    """Return a row: the interval of a parameter after each recording, predicted and identified."""
     row: dict[str, Any] = {"parameter": name, "hidden": getattr(twin.drive, HIDDEN[name])}
     trained = 1 - twin.split["test_share"] - twin.split["gap"] / (twin.samples * twin.timestep)
     for label, (fit, share) in {"harmonics": harmonics, "designed": designed}.items():

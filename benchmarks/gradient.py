@@ -1,9 +1,9 @@
-"""Seconds of a loss with its gradient, the specialised engine against stock MJX: `python benchmarks/gradient.py`.
+"""Time of a loss with its gradient, the specialised engine against stock MJX: `python benchmarks/gradient.py`.
 
-Four ways of one and the same objective in float32: `specialised` and `mjx` are this package's engines in its own
-objective; `mjx.step` is what a user writes without this package, `jax.grad` through vmapped `mjx.step`; and
-`mjx.step-unfused` is the same without XLA's fusion, which on CPUs can compute shared terms over and over. They are
-given the paper's drive on its twin's recording, and chains of hinges with Coulomb and viscous friction in every joint.
+Four variants compute the same objective in float32. `specialised` and `mjx` are this package's engines in its
+objective. `mjx.step` is a user's code without this package: `jax.grad` through vmapped `mjx.step`. `mjx.step-unfused`
+is the same without XLA's fusion, which on CPUs can compute shared terms repeatedly. The cases are the paper's drive on
+its twin's recording, and chains of hinges with Coulomb and viscous friction in every joint.
 """
 
 import argparse
@@ -48,7 +48,7 @@ COLUMNS = {
 DTYPE = "float32"
 AXES = ("0 1 0", "1 0 0", "0 0 1")
 JOINTS = (2, 4, 7)
-WAYS = ("specialised", "mjx", "mjx.step", "mjx.step-unfused")  # the first is what the others are compared with
+WAYS = ("specialised", "mjx", "mjx.step", "mjx.step-unfused")  # the first is the reference
 XLA_OPTIONS = {"mjx.step": {}, "mjx.step-unfused": {"xla_disable_hlo_passes": "fusion"}}
 STEPS = 5
 QUICK_DATA = ("data.samples=6000", "data.cache_dir=null", "segments.count=200")
@@ -56,13 +56,13 @@ QUICK_DATA = ("data.samples=6000", "data.cache_dir=null", "segments.count=200")
 
 @dataclass(frozen=True)
 class Case:
-    """What is differentiated.
+    """Objective to differentiate.
 
     Attributes:
-        name: Its name in the table.
-        bench: The drive.
-        model: The friction law, which answers with a torque only.
-        segments: What was measured.
+        name: Name in the table.
+        bench: Bench with the drive.
+        model: Friction model that returns only a torque.
+        segments: Measured segments.
         loss: Options of the objective.
     """
 
@@ -74,18 +74,18 @@ class Case:
 
     @property
     def space(self) -> Space:
-        """The parameters that the gradient is of."""
+        """Return the parameters of the gradient."""
         return Space(self.bench, self.model, DTYPE)
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A loss with its gradient, to be compiled.
+    """Loss with its gradient, ready to compile.
 
     Attributes:
-        function: Of a vector and the data.
-        data: Its last argument.
-        compiler: What compiles it.
+        function: Function of a vector and the data.
+        data: Last argument of the function.
+        compiler: Function that compiles it.
     """
 
     function: Callable[[Array, Any], tuple[Array, Array]]
@@ -94,17 +94,17 @@ class Prepared:
 
 
 class PlainMjx(Engine):
-    """`mjx.step` as it is, with friction as an applied force.
+    """Stock `mjx.step`, with friction as an applied force.
 
     Args:
-        case: What is simulated.
+        case: Case to simulate.
     """
 
     name = "mjx.step"
     forward_limit = MjxEngine.forward_limit
 
     def __init__(self, case: Case) -> None:
-        from mujoco import mjx  # after the package's own import, which keeps it from printing
+        from mujoco import mjx  # after frictionzoo's import, which keeps it from printing
 
         self.compiler_options, self.forward_options, self.branches = {}, {}, case.bench.branches
         self._law, self.friction = case.model, friction_of(case.model)
@@ -123,18 +123,18 @@ class PlainMjx(Engine):
         return data.qpos, data.qvel, memory
 
     def drive_state(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> DriveState:
-        """What is known before a step; torques are not."""
+        """Return the state before a step, where torques are unknown."""
         return DriveState(qpos, qvel, ctrl, None, None)
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, print and write the results."""
     options = parse()
     rows: list[dict[str, Any]] = []
     reference: dict[str, np.ndarray] = {}
     for case, way, derivative in measurements(options):
         row, gradient = measure(case, way, derivative)
-        specialised = reference.setdefault(case.name, gradient)  # each case begins with it
+        specialised = reference.setdefault(case.name, gradient)  # each case begins with the specialised engine
         rows.append(row | {"ratio": ratio(row, rows), "difference": difference(gradient, specialised)})
         print(f"{case.name}, {way}, {derivative}: {row['seconds']:.3g} s", flush=True)
     print()
@@ -142,7 +142,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("gradient", __doc__)
     parser.add_argument("--joints", type=int, nargs="*", default=JOINTS, metavar="N", help="lengths of the chains")
     parser.add_argument("--ways", nargs="*", choices=WAYS, default=WAYS, metavar="WAY", help=", ".join(WAYS))
@@ -151,7 +151,7 @@ def parse() -> argparse.Namespace:
 
 
 def measurements(options: argparse.Namespace) -> Iterator[tuple[Case, str, str]]:
-    """What is measured, as case, way, derivative; the specialised engine first in each case."""
+    """Yield each measurement as case, way and derivative, the specialised engine first in each case."""
     ways = [way for way in WAYS if way == WAYS[0] or way in options.ways]
     case = knee(options.quick)
     for way in ways:
@@ -164,7 +164,7 @@ def measurements(options: argparse.Namespace) -> Iterator[tuple[Case, str, str]]
 
 
 def knee(quick: bool) -> Case:
-    """The paper's drive and its segments from the twin's recording."""
+    """Return the paper's drive with segments of the twin's recording."""
     settings = compose("model=coulomb_stribeck", f"segments.length={STEPS}", *(QUICK_DATA if quick else ()))
     bench = build(settings["bench"])
     segments = cut_segments(build(settings["data"]).load().train, **settings["segments"])
@@ -172,9 +172,9 @@ def knee(quick: bool) -> Case:
 
 
 def chain(joints: int, count: int) -> Case:
-    """Hinges about changing axes, each on the body before it, and random segments.
+    """Return a serial chain of hinges about changing axes, with random segments.
 
-    Armature, Coulomb and viscous friction of every joint are the parameters.
+    The parameters are armature, Coulomb and viscous friction of every joint.
     """
     names = ",".join(f"j{index}" for index in range(joints))
     with tempfile.TemporaryDirectory() as folder:
@@ -190,7 +190,7 @@ def chain(joints: int, count: int) -> Case:
 
 
 def chain_mjcf(joints: int) -> str:
-    """The MJCF of a chain of hinges, `j0` first."""
+    """Return the MJCF of a chain of hinges, `j0` first."""
     body = ""
     for index in reversed(range(joints)):
         body = (
@@ -201,7 +201,7 @@ def chain_mjcf(joints: int) -> str:
 
 
 def random_segments(joints: int, count: int) -> Segments:
-    """Segments around random states; times do not depend on how well the drive can follow them."""
+    """Draw segments around random states; times do not depend on whether the drive can follow them."""
     rng = np.random.default_rng(joints)
     start = rng.normal(size=(2, count, 1, joints))
     qpos, qvel = start + 0.1 * rng.normal(size=(2, count, STEPS + 1, joints))
@@ -210,12 +210,12 @@ def random_segments(joints: int, count: int) -> Segments:
 
 
 def compose(*overrides: str) -> dict[str, Any]:
-    """The settings of a job with these overrides."""
+    """Return the settings of a job with these overrides."""
     return cast(dict[str, Any], OmegaConf.to_container(compose_config(*overrides), resolve=True))
 
 
 def measure(case: Case, way: str, derivative: str) -> tuple[dict[str, Any], Float[np.ndarray, "parameters"]]:
-    """One row without comparisons, and the gradient."""
+    """Measure one row without comparisons; return it with the gradient."""
     began = time.perf_counter()
     prepare = plain if way in XLA_OPTIONS else packaged
     prepared = prepare(case, way, derivative)
@@ -238,14 +238,14 @@ def measure(case: Case, way: str, derivative: str) -> tuple[dict[str, Any], Floa
 
 
 def packaged(case: Case, engine: str, derivative: str) -> Prepared:
-    """What a fit of this package differentiates."""
+    """Prepare the objective of this package's fits."""
     rollout = Drive.assemble(case.bench, case.model, engine).rollout
     objective = Objective(case.space, rollout, case.segments, **case.loss)
     return Prepared(objective.value_and_grad(derivative), objective.data, objective.compile)
 
 
 def plain(case: Case, way: str, derivative: str) -> Prepared:
-    """The same objective as a user of MJX writes it: all segments at once."""
+    """Prepare the same objective as an MJX user writes it: all segments at once."""
     space, rollout = case.space, make_rollout(PlainMjx(case))
     signals = (case.segments.qpos, case.segments.qvel, case.segments.signals)
     weights = case.loss["position"], case.loss["velocity"]
@@ -268,13 +268,13 @@ def plain(case: Case, way: str, derivative: str) -> Prepared:
 
 
 def ratio(row: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> float:
-    """Its time over that of the specialised engine with the same derivative."""
+    """Return the row's time over the specialised engine's time with the same derivative."""
     same = [other for other in (*before, row) if all(other[key] == row[key] for key in ("case", "derivative"))]
     return row["seconds"] / same[0]["seconds"]
 
 
 def difference(gradient: Float[np.ndarray, "parameters"], specialised: Float[np.ndarray, "parameters"]) -> float:
-    """Largest relative difference of two gradients, entry by entry."""
+    """Return the largest relative difference of two gradients, entry by entry."""
     return float(np.max(np.abs(gradient / specialised - 1)))
 
 

@@ -1,10 +1,9 @@
-"""Seconds of gradient fits against the paper's grid search: `python benchmarks/grid.py`.
+"""Time of gradient fits against the paper's grid search: `python benchmarks/grid.py`.
 
-The grid search is written as the paper runs it: each combination of armature, frictionloss and damping is one
-simulation of 1000 steps, one after the other. Twice: with `mjx.step` compiled and called from Python for each step, as
-MJX's tutorials do, which is measured for a few combinations and scaled to all; and with all steps compiled into one
-function. Beside it stand `fit=grid` of this package, which simulates many combinations at once in the specialised
-engine, and the gradient fits of the paper's recipe.
+As in the paper, the grid search simulates 1000 steps for each combination of armature, frictionloss and damping, one
+combination after another. It is measured twice: with a compiled `mjx.step` called from Python, as in MJX's tutorials (a
+few combinations, scaled to all), and with all steps in one compiled function. The table adds this package's `fit=grid`,
+which simulates many combinations at once in the specialised engine, and gradient fits by the paper's recipe.
 """
 
 import argparse
@@ -44,10 +43,10 @@ MODELS = ("mujoco_default", "coulomb_smooth", "coulomb_stribeck", "neural_fricti
 
 
 def pose(*overrides: str) -> Problem:
-    """The problem of `experiment=kovalev2026` with these overrides.
+    """Return the problem of `experiment=kovalev2026` with these overrides, without the compilation cache.
 
     Args:
-        overrides: As on the command line; without a cache of compiled functions.
+        overrides: Options as on the command line.
     """
     config = compose_config("experiment=kovalev2026", "compilation_cache=null", "loop.progress=false", *overrides)
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
@@ -55,12 +54,12 @@ def pose(*overrides: str) -> Problem:
 
 
 def search_one_by_one(points: int, sample: int, *overrides: str) -> Iterator[dict[str, Any]]:
-    """The grid search of the paper, a simulation a combination: step by step from Python, and compiled.
+    """Yield the rows of the paper's grid search, one simulation per combination: stepped from Python, and compiled.
 
     Args:
         points: Values of each parameter.
-        sample: Combinations that are simulated step by step; their time is scaled to all.
-        overrides: Of the configuration.
+        sample: Combinations simulated step by step; their time is scaled to all.
+        overrides: Overrides of the configuration.
     """
     problem = pose(f"model={GRID}", "engine=mjx", f"fit.points={points}", *overrides)
     objective, space = problem.objective, problem.objective.space
@@ -80,11 +79,11 @@ def search_one_by_one(points: int, sample: int, *overrides: str) -> Iterator[dic
 
 
 def timed(function: Callable[[np.ndarray], Any], vectors: np.ndarray) -> tuple[np.ndarray, float]:
-    """A function's values and the time that they took [s].
+    """Return a function's values and their total time [s].
 
     Args:
-        function: Of a vector.
-        vectors: One a row.
+        function: Function of a vector.
+        vectors: One vector per row.
     """
     began = time.perf_counter()
     values = np.array([float(function(vector)) for vector in vectors])
@@ -92,11 +91,11 @@ def timed(function: Callable[[np.ndarray], Any], vectors: np.ndarray) -> tuple[n
 
 
 def simulate(step: Callable[..., Any], problem: Problem, vector: np.ndarray) -> float:
-    """The objective of one combination, simulated with stock MJX step by step.
+    """Return the objective of one combination, simulated step by step with stock MJX.
 
     Args:
-        step: `mjx.step`, compiled.
-        problem: With one segment.
+        step: Compiled `mjx.step`.
+        problem: Problem with one segment.
         vector: The combination.
     """
     values, segment = problem.objective.space.values(vector), problem.segments
@@ -114,11 +113,11 @@ def simulate(step: Callable[..., Any], problem: Problem, vector: np.ndarray) -> 
 
 
 def search_with_package(model: str, *overrides: str) -> dict[str, Any]:
-    """A fit of this package.
+    """Run a fit of this package and return its row.
 
     Args:
-        model: File of conf/model.
-        overrides: Of the configuration.
+        model: File in conf/model.
+        overrides: Overrides of the configuration.
     """
     problem = pose(f"model={model}", *overrides)
     settings = problem.settings
@@ -130,24 +129,24 @@ def search_with_package(model: str, *overrides: str) -> dict[str, Any]:
 
 
 def row(way: str, model: str, simulations: int, compiling: float, search: float) -> dict[str, Any]:
-    """One line of the table.
+    """Return one row of the table.
 
     Args:
-        way: How it was searched.
-        model: The law.
-        simulations: Combinations simulated, or iterations.
-        compiling: [s].
-        search: [s].
+        way: Search method.
+        model: Friction model.
+        simulations: Number of simulated combinations, or of iterations.
+        compiling: Compile time [s].
+        search: Search time [s].
     """
     times = {"compile": compiling, "search": search, "whole": compiling + search}
     return {"way": way, "model": model, "simulations": simulations, **times}
 
 
 def measure(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """All rows, each with its ratio to the first.
+    """Yield all rows, each with its ratios to both grid searches of the paper.
 
     Args:
-        options: From the command line.
+        options: Command-line options.
     """
     stepwise, compiled = search_one_by_one(options.points, options.sample, *options.overrides)
     ours = search_with_package(GRID, f"fit.points={options.points}", *options.overrides)
@@ -158,7 +157,7 @@ def measure(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("grid", __doc__)
     parser.add_argument("--points", type=int, default=11, help="values of each parameter in the grid of the paper")
     parser.add_argument("--sample", type=int, default=10, help="combinations that are simulated step by step")
@@ -168,7 +167,7 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, print and write the results."""
     options = parse()
     report(options.out, list(measure(options)), COLUMNS, points=options.points)
 

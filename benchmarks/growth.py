@@ -1,8 +1,8 @@
-"""How time and memory grow with the data and with the network: `python benchmarks/growth.py`.
+"""Growth of time and memory with the data and with the network: `python benchmarks/growth.py`.
 
-Three tables: one identification (`fit=lm model=mujoco_default`) against the number of samples, the same against the
-length of the segments, and one gradient of `model=neural_friction` against the width of its two hidden layers. Each row
-is a process of its own, so that its peak memory is its own. Samples are simulated, from a known drive with noise.
+Three tables: one identification (`fit=lm model=mujoco_default`) over the number of samples, the same over the segment
+length, and one gradient of `model=neural_friction` over the width of its two hidden layers. Each row runs in a separate
+process to measure its peak memory. Samples are simulated from a known drive, with noise.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from typing import Any, cast
 import numpy as np
 from measure import compile_time, make_parser, median_time, peak_memory, print_table, write_json
 
-# frictionzoo and jax are imported in the processes that measure: this one only starts them.
+# Only the measuring processes import frictionzoo and jax; this one starts them.
 
 FIT_COLUMNS = {
     "samples": "samples",
@@ -47,16 +47,16 @@ NETWORK_COLUMNS = {
 SAMPLES = (10_000, 100_000, 1_000_000, 10_000_000)
 LENGTHS = (5, 50, 500, 3000)
 WIDTHS = (16, 64, 256)
-LENGTH = 5  # of segments, where their number grows
-FIXED = 100_000  # samples, where the segments' length grows
-RECORDING = 10_000  # samples in a recording, at most
+LENGTH = 5  # steps per segment, where the number of samples grows
+FIXED = 100_000  # samples, where the segment length grows
+RECORDING = 10_000  # maximum samples per recording
 TRUTH = {"armature": 0.04, "frictionloss": 0.2, "damping": 0.1}
 NOISE = {"qpos": 1e-5, "qvel": 2e-3}  # rad and rad/s
 SEED = 0
 
 
 def main() -> None:
-    """Start a process for each row, print, write; or be such a process."""
+    """Start a process for each row, print and write the results; or measure a row as such a process."""
     options = parse()
     if options.row is not None:
         print(json.dumps(measure(**json.loads(options.row))))
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("growth", __doc__)
     count = {"type": lambda text: int(float(text)), "nargs": "*", "metavar": "N"}
     parser.add_argument("--samples", default=SAMPLES, help="lengths of the data; 1e5 is a number too", **count)
@@ -82,7 +82,7 @@ def parse() -> argparse.Namespace:
 
 
 def plan(options: argparse.Namespace) -> dict[str, list[dict[str, Any]]]:
-    """The rows of each table, as arguments of `measure`."""
+    """Return the rows of each table as arguments of `measure`."""
     return {
         "samples": [{"kind": "fit", "samples": samples, "length": LENGTH} for samples in options.samples],
         "length": [{"kind": "fit", "samples": FIXED, "length": length} for length in options.lengths],
@@ -91,14 +91,14 @@ def plan(options: argparse.Namespace) -> dict[str, list[dict[str, Any]]]:
 
 
 def in_own_process(what: dict[str, Any]) -> dict[str, Any]:
-    """The row that a new process measures.
+    """Measure a row in a new process.
 
     Raises:
-        SystemExit: It failed; its message is on the standard error.
+        SystemExit: The process failed; its message is on standard error.
     """
     print(", ".join(f"{key} {value}" for key, value in what.items()), flush=True)
     command = [sys.executable, __file__, "--row", json.dumps(what)]
-    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}  # times are those of a first run
+    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}  # time a first run
     finished = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
     if finished.returncode:
         sys.exit(f"{what}: exit status {finished.returncode}")
@@ -106,12 +106,12 @@ def in_own_process(what: dict[str, Any]) -> dict[str, Any]:
 
 
 def measure(kind: str, **what: int) -> dict[str, Any]:
-    """A row."""
+    """Measure a row."""
     return measure_fit(**what) if kind == "fit" else measure_network(**what)
 
 
 def measure_fit(samples: int, length: int) -> dict[str, Any]:
-    """One identification; the data are made before."""
+    """Measure one identification, on data simulated before."""
     from frictionzoo.core.build import build
     from frictionzoo.core.segments import cut_segments
     from frictionzoo.fit import Objective, Space, run_fit
@@ -152,7 +152,7 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
 
 
 def record(rollout: Any, bench: Any, samples: int) -> Iterator[Any]:
-    """Recordings of the known drive, one after the other, so that little more than themselves is in memory."""
+    """Yield recordings of the known drive one at a time, to keep memory low."""
     from frictionzoo.core.log import Log
     from frictionzoo.core.state import Signals
 
@@ -173,13 +173,13 @@ def record(rollout: Any, bench: Any, samples: int) -> Iterator[Any]:
 
 
 def command(time_axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Desired position [rad]: five sines of random frequency and phase."""
+    """Return a desired position [rad]: five sines of random frequency and phase."""
     frequency, phase = rng.uniform(0.5, 10.0, 5), rng.uniform(0, 2 * np.pi, 5)
     return (np.sin(time_axis[:, None] * frequency + phase) / frequency).sum(axis=1, keepdims=True)
 
 
 def measure_network(segments: int, width: int) -> dict[str, Any]:
-    """A loss with its gradient, as `fit=adam` takes it in each iteration."""
+    """Measure a loss with its gradient, as `fit=adam` evaluates it in each iteration."""
     from frictionzoo.identification import Problem
 
     hidden = f"model.hidden=[{width},{width}]"
@@ -201,7 +201,7 @@ def measure_network(segments: int, width: int) -> dict[str, Any]:
 
 
 def compose(*overrides: str) -> dict[str, Any]:
-    """The settings of a job with these overrides, without the cache of compiled functions."""
+    """Return the settings of a job with these overrides, without the compilation cache."""
     from omegaconf import OmegaConf
 
     from frictionzoo.core.config import compose_config

@@ -1,8 +1,8 @@
-"""What events of `target=randomisation` change in mjlab: `python benchmarks/in_mjlab.py EXPORT`, with mjlab's Python.
+"""Effect of `target=randomisation` events in mjlab: `python benchmarks/in_mjlab.py EXPORT`, with mjlab's Python.
 
-Makes an environment of mjlab with the exported drive, `nominal.xml`, in many worlds on the CPU, once with DRAWS and
-once with RANGES of `mjlab_events.py`, and looks at the model of each world: which fields differ from world to world,
-and from where to where. Then all worlds move under one command, and so does MuJoCo C with the numbers of each.
+Creates an mjlab environment with the exported drive, `nominal.xml`, in many worlds on the CPU, once with DRAWS and once
+with RANGES of `mjlab_events.py`. Lists the model fields that differ between worlds, with their ranges. Then simulates
+all worlds under one command, and some of them (`--compared`) in MuJoCo C with the values of the world.
 """
 
 import argparse
@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from measure import make_parser, print_table
 
-FIELDS = {  # of mjlab's model, and the entry
+FIELDS = {  # field of mjlab's model, entry, sign
     "joint.armature": ("dof_armature", None, 1.0),
     "joint.frictionloss": ("dof_frictionloss", None, 1.0),
     "joint.damping": ("dof_damping", None, 1.0),
@@ -28,7 +28,7 @@ SET = ("dof_armature", "dof_frictionloss", "dof_damping", "actuator_gainprm", "a
 
 
 def main() -> None:
-    """Look at both kinds of events, print and write what they change."""
+    """Apply both kinds of events, print and write their changes."""
     arguments = parse()
     folder = arguments.export.resolve()
     events, rows, motions = load_events(folder / "mjlab_events.py"), [], []
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command's options."""
+    """Parse the command line."""
     parser = make_parser("in_mjlab", __doc__)
     parser.add_argument("export", type=Path, metavar="EXPORT", help="folder that target=randomisation wrote")
     parser.add_argument("--worlds", type=int, default=1024, help="of the environment")
@@ -58,7 +58,7 @@ def parse() -> argparse.Namespace:
 
 
 def load_events(path: Path) -> ModuleType:
-    """The file as a module."""
+    """Load the file as a module."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -67,8 +67,8 @@ def load_events(path: Path) -> ModuleType:
 
 
 def make_environment(model: Path, events: dict[str, Any], worlds: int) -> Any:
-    """An environment of mjlab without actions and rewards; its events have happened."""
-    # In an environment of its own: it needs another version of MuJoCo.
+    """Return an mjlab environment without actions and rewards, with its events applied."""
+    # mjlab has a separate Python environment: it needs another version of MuJoCo.
     from mjlab.actuator import XmlActuatorCfg  # pyright: ignore[reportMissingImports]
     from mjlab.entity import EntityArticulationInfoCfg, EntityCfg  # pyright: ignore[reportMissingImports]
     from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg  # pyright: ignore[reportMissingImports]
@@ -96,10 +96,10 @@ def make_environment(model: Path, events: dict[str, Any], worlds: int) -> Any:
 
 
 def list_rows(kind: str, known: dict[str, np.ndarray], worlds: dict[str, np.ndarray]) -> Iterator[dict[str, Any]]:
-    """A row for each number of each joint that differs between worlds: what was written, and what is there.
+    """Yield a row for each quantity that differs between worlds and each joint: exported values and values in mjlab.
 
-    `apart` is, of DRAWS, how far a world is from the nearest of the drives in samples.npz, all of its numbers together,
-    as a share of their ranges.
+    For DRAWS, `apart` is the largest distance between a world and its nearest drive in samples.npz: the largest
+    difference over all quantities, as a share of their ranges.
     """
     names = known["names"].tolist()
     varied = [name for name in FIELDS if name in names]
@@ -124,7 +124,7 @@ def list_rows(kind: str, known: dict[str, np.ndarray], worlds: dict[str, np.ndar
 
 
 def read_field(model: Any, fields: dict[str, np.ndarray], name: str, joints: list[str]) -> np.ndarray:
-    """A quantity of these joints in all worlds, of shape (worlds, nv)."""
+    """Return a quantity of these joints in all worlds, of shape (worlds, nv)."""
     field, entry, sign = FIELDS[name]
     ids = [model.joint(f"robot/{joint}").id for joint in joints]
     if entry is None:
@@ -134,7 +134,7 @@ def read_field(model: Any, fields: dict[str, np.ndarray], name: str, joints: lis
 
 
 def compare_motion(env: Any, fields: dict[str, np.ndarray], steps: int, compared: int) -> dict[str, Any]:
-    """How far worlds are from MuJoCo C with their numbers, in float32, and from each other [rad or m]."""
+    """Return the distance of worlds (float32) from MuJoCo C with their values, and from each other [rad or m]."""
     import torch
 
     model, found = env.sim.mj_model, []
@@ -146,7 +146,7 @@ def compare_motion(env: Any, fields: dict[str, np.ndarray], steps: int, compared
     qpos, largest = np.array(found), 0.0
     for world in range(compared):
         for name, field in fields.items():
-            getattr(model, name)[:] = field[min(world, len(field) - 1)]  # what no event changes, worlds share
+            getattr(model, name)[:] = field[min(world, len(field) - 1)]  # worlds share fields that no event changes
         data = mujoco.MjData(model)
         mujoco.mj_setConst(model, data)
         mujoco.mj_resetData(model, data)

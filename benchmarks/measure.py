@@ -1,4 +1,4 @@
-"""What the benchmarks share: how a time is taken, how results are shown and kept, and what they ran on."""
+"""Timing, tables, result files and machine description for all benchmarks."""
 
 import argparse
 import json
@@ -17,17 +17,17 @@ from typing import Any
 
 PACKAGES = ("frictionzoo", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy", "optax", "torch")
 
-# jax is imported where it is needed: a process that only starts others stays small.
+# jax is imported inside functions: a process that only starts others stays small.
 
 
 @dataclass(frozen=True)
 class Timed:
-    """A function that was called several times.
+    """Timing of a function that was called several times.
 
     Attributes:
         seconds: Median time of a call [s].
-        calls: Calls that the median is of.
-        answer: What the last call gave.
+        calls: Number of calls in the median.
+        answer: Result of the last call.
     """
 
     seconds: float
@@ -36,15 +36,15 @@ class Timed:
 
 
 def median_time(function: Callable[..., Any], *arguments: Any, calls: int = 7, enough: float = 20.0) -> Timed:
-    """Median time of a call, until its answer is there.
+    """Return the median time of a call, until its result is ready.
 
-    The first call warms up and is not counted, unless it takes so long that it has to do for all.
+    The first call warms up and does not count, unless it takes longer than `enough`.
 
     Args:
-        function: What is timed; compiled beforehand, or the first call compiles it.
+        function: Function to time; compiled beforehand or by the first call.
         arguments: Its arguments.
-        calls: Calls that count.
-        enough: A first call that takes longer [s] is the only one.
+        calls: Number of calls that count.
+        enough: Time [s]; a longer first call is the only one.
     """
     first, answer = _call(function, arguments)
     if first > enough:
@@ -57,14 +57,14 @@ def median_time(function: Callable[..., Any], *arguments: Any, calls: int = 7, e
 
 
 def compile_time(compiler: Callable[..., Any], function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-    """A function compiled for these arguments, and the time that tracing and compiling it took [s].
+    """Compile a function for these arguments; return it with the time of tracing and compiling [s].
 
-    JAX's cache of compiled functions is switched off for this process, so that the time is that of a first run.
+    Disables JAX's compilation cache for this process, to time a first run.
 
     Args:
-        compiler: `jax.jit`, or a `compile` of this package, which brings its engine's options.
-        function: What is compiled.
-        arguments: Arguments of the shapes that it will be called with.
+        compiler: `jax.jit`, or a `compile` of this package, which adds its engine's options.
+        function: Function to compile.
+        arguments: Arguments of the shapes of later calls.
     """
     import jax
 
@@ -75,8 +75,8 @@ def compile_time(compiler: Callable[..., Any], function: Callable[..., Any], *ar
 
 
 def peak_memory() -> float:
-    """Largest resident memory that this process has had so far [MB]."""
-    # Linux's ru_maxrss is never below what the parent had when it started this process; VmHWM is this program's own.
+    """Return the peak resident memory of this process [MB]."""
+    # Linux's ru_maxrss includes the parent's memory when it started this process; VmHWM does not.
     status = Path("/proc/self/status")
     own = re.search(r"VmHWM:\s+(\d+) kB", status.read_text()) if status.exists() else None
     if own:
@@ -86,7 +86,7 @@ def peak_memory() -> float:
 
 
 def describe_machine() -> dict[str, Any]:
-    """What a benchmark ran on: processor, platform, device, versions."""
+    """Return the processor, platform, device and versions of this machine."""
     import jax
 
     return {
@@ -100,7 +100,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def make_parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """A parser that knows `--out`.
+    """Return a parser with the option `--out`.
 
     Args:
         name: The benchmark's name; its results go to `benchmarks/results/NAME.json` by default.
@@ -113,13 +113,13 @@ def make_parser(name: str, description: str | None) -> argparse.ArgumentParser:
 
 
 def report(out: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str], **settings: Any) -> None:
-    """Print the rows as a table, and write them with settings and machine into a JSON file.
+    """Print the rows as a table; write them with settings and machine to a JSON file.
 
     Args:
-        out: The file; its folder is made.
-        rows: One mapping a measurement, of text, numbers and None.
-        columns: Heading of each key that the table shows, in order.
-        settings: What else a reader of the file should know.
+        out: The file; its folder is created.
+        rows: One mapping per measurement, with text, numbers and None.
+        columns: Heading of each key in the table, in order.
+        settings: Further settings to write.
     """
     print_table(rows, columns)
     write_json(out, {"settings": settings, "rows": list(rows)})
@@ -129,8 +129,8 @@ def print_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | 
     """Print rows with aligned columns.
 
     Args:
-        rows: One mapping a line, of text, numbers and None.
-        columns: Heading of each key that is shown, in order; by default all keys of all rows.
+        rows: One mapping per line, with text, numbers and None.
+        columns: Heading of each key shown, in order; by default all keys of all rows.
     """
     columns = columns or {key: key for row in rows for key in row}
     cells = [list(columns.values()), *([_cell(row.get(key)) for key in columns] for row in rows)]
@@ -145,11 +145,11 @@ def print_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | 
 
 
 def write_json(out: Path | str, content: Mapping[str, Any]) -> None:
-    """Write content and, under `machine`, what it was measured on.
+    """Write content and, under `machine`, a description of this machine.
 
     Args:
-        out: The file; its folder is made.
-        content: What JSON can hold.
+        out: The file; its folder is created.
+        content: JSON-compatible values.
     """
     path = Path(out)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,11 @@
-"""What a newcomer gets: logs of hidden drives, one command with nothing but the files, and the truth beside the result.
+"""Accuracy for a new user: one command with only the files, on logs of hidden drives, compared with the truth.
 
     python benchmarks/newcomer.py
     python benchmarks/newcomer.py --drives 5 --first 20 --kinds late leg
     python benchmarks/newcomer.py --drives 3 --kinds arm slow_arm quadruped
 
-Each drive is of one of eight kinds, each with other friction, armature, link, gains, encoder and delay; robots are made
-where they are asked for. Motion is that of `event_exact.py`, which knows nothing of MuJoCo. The fitted law is the one
-by which the drive was made.
+Each drive has one of eight kinds, with different friction, armature, link, gains, encoder and delay. Robots run only on
+request (`--kinds`). `event_exact.py` simulates the motion, without MuJoCo. The fitted model is the model of the drive.
 """
 
 import argparse
@@ -49,19 +48,19 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of hidden drives.
+    """Kind of hidden drives.
 
     Attributes:
-        law: By which it is made and fitted.
-        rate: Of samples [Hz].
-        bits: Of the encoder, a turn.
-        velocity: In the log: `noisy`, `filtered` from positions, or `none`.
-        speed: Of the excitation, over the usual one.
-        payloads: Whether it carries another mass in each of several recordings.
-        axes: Of the joints of a chain, from its base.
-        chains: Their number.
-        mass: The least of a link [kg]; the most is four times that.
-        seconds: Length of the recordings.
+        law: Friction model of the drive and of the fit.
+        rate: Sample rate [Hz].
+        bits: Encoder bits per turn.
+        velocity: Velocity in the log: `noisy`, `filtered` from positions, or `none`.
+        speed: Speed of the excitation relative to the default.
+        payloads: Whether several recordings carry different masses.
+        axes: Joint axes of a chain, from its base.
+        chains: Number of chains.
+        mass: Smallest link mass [kg]; the largest is four times as much.
+        seconds: Length of a recording [s]; with payloads, half of it.
     """
 
     law: str = "mujoco_default"
@@ -76,7 +75,7 @@ class Kind:
     seconds: float = 40.0
 
     def draw(self, rng: np.random.Generator, late: bool) -> Drive:
-        """Draw one joint's drive."""
+        """Draw the drive of one joint."""
 
         def spread(low: float, high: float) -> float:
             return float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -117,7 +116,7 @@ ROBOTS = ("arm", "slow_arm", "quadruped", "chain")
 
 @dataclass(frozen=True)
 class Hidden:
-    """Drives that nobody knows, of the joints of one stand, and its links."""
+    """Links and hidden drives of one stand."""
 
     name: str
     kind: Kind
@@ -127,7 +126,7 @@ class Hidden:
 
     @classmethod
     def draw(cls, name: str, seed: int) -> "Hidden":
-        """Draw the drives of this kind and seed."""
+        """Draw links and drives of a kind from a seed."""
         rng, kind = np.random.default_rng(5000 + seed), KINDS[name]
         links: list[Link] = []
         for chain, (joint, axis) in itertools.product(range(kind.chains), enumerate(kind.axes)):
@@ -141,11 +140,11 @@ class Hidden:
 
     @property
     def names(self) -> list[str]:
-        """Of the joints."""
+        """Return the joint names."""
         return ["motor"] if len(self.links) == 1 else [f"joint{number}" for number, _ in enumerate(self.links)]
 
     def record(self, folder: Path) -> float:
-        """Write the stand's MJCF and the logs; returns the share of time in which joints stick."""
+        """Write the stand's MJCF and the logs; return the share of time in which joints stick."""
         rng, interval = np.random.default_rng(self.seed), 1 / self.kind.rate
         folder.mkdir(parents=True)
         (folder / "stand.xml").write_text(write_mjcf(self.links, self.names))
@@ -173,7 +172,7 @@ class Hidden:
         return float(np.mean(sticking))
 
     def options(self, folder: Path) -> list[str]:
-        """What the command line says of it: files, gains and the law."""
+        """Return the options of the command line: files, gains, model and payload."""
         logs = ",".join(str(path) for path in sorted(folder.glob("log*.csv")))
         one = len(self.drives) == 1
         options = ["data=files", f"data.train=[{logs}]", f"bench.mjcf={folder / 'stand.xml'}", f"model={self.kind.law}"]
@@ -189,7 +188,7 @@ class Hidden:
         return options
 
     def truths(self) -> dict[str, list[float]]:
-        """True values of what the law and the bench identify, by the result's names."""
+        """Return the true values of the parameters of model and bench, by their names in the result."""
 
         def each(name: str) -> list[float]:
             return [getattr(drive, name) for drive in self.drives]
@@ -215,14 +214,14 @@ class Hidden:
 
 
 def _excite(time: Float[np.ndarray, "time"], speed: float, rng: np.random.Generator) -> Float[np.ndarray, "time"]:
-    """Five harmonics of velocity, as in the paper, without drift."""
+    """Return positions of five velocity harmonics, as in the paper, without drift."""
     amplitude, frequency, phase = rng.uniform(0.3, 1.5, 5), rng.uniform(0.5, 10, 5), rng.uniform(0, 2 * np.pi, 5)
     position = -(speed * amplitude / frequency * np.cos(time[:, None] * frequency + phase)).sum(axis=1)
     return position - position.mean()
 
 
 def main() -> None:
-    """Each drive, and their table."""
+    """Run each drive and report a table."""
     options = parse()
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
@@ -239,7 +238,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("newcomer", __doc__)
     parser.add_argument("--drives", type=int, default=24, metavar="N", help="how many hidden drives")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first")
@@ -251,14 +250,14 @@ def parse() -> argparse.Namespace:
 
 
 def run(hidden: Hidden, folder: Path, more: Sequence[str] = ()) -> dict[str, Any]:
-    """One command, from its start to its end, and how far its result is from the truth."""
+    """Run one command and return a row with the errors of its result."""
     sticking, out = hidden.record(folder), folder / "run"
     command = [sys.executable, "-m", "frictionzoo.run", *hidden.options(folder), f"hydra.run.dir={out}", *more]
-    command += [f"compilation_cache={out}-cache"]  # a newcomer's is empty
+    command += [f"compilation_cache={out}-cache"]  # a new user's cache is empty
     began, before = time.perf_counter(), _processor()
     finished = subprocess.run(command, capture_output=True, text=True)
     seconds, processor = time.perf_counter() - began, _processor() - before
-    if finished.returncode not in (0, 3):  # 3: the fit says that it did not identify the drive
+    if finished.returncode not in (0, 3):  # 3: the fit did not identify the drive
         raise SystemExit(f"drive {hidden.seed}: {finished.stderr}")
     result, truths = json.loads((out / "result.json").read_text()), hidden.truths()
     held, missed, errors = [], [], dict[str, list[float]]()
@@ -290,12 +289,12 @@ def run(hidden: Hidden, folder: Path, more: Sequence[str] = ()) -> dict[str, Any
 
 
 def _worst(errors: Mapping[str, Sequence[float]], *names: str) -> float:
-    """The largest error of what the law has among these, over joints."""
+    """Return the largest error over joints and over those of these parameters that the model has."""
     return max(abs(value) for name in names for value in errors.get(name, []))
 
 
 def _processor() -> float:
-    """What finished commands have taken of processors [s], which others that run beside them do not change."""
+    """Return the processor time of finished commands [s], which other processes hardly affect."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

@@ -1,10 +1,10 @@
-"""Settings that find themselves beside those made by hand: each ready experiment, and the same with `recipe=auto`.
+"""Automatic settings against hand-made settings: each ready experiment, and the same with `recipe=auto`.
 
     python benchmarks/recipe.py
     python benchmarks/recipe.py --cases emps xl330
     python benchmarks/recipe.py --cases twin -- data.samples=30000
 
-Both runs of a case fit the same law to the same recordings, and the same held-out rollouts judge them.
+Both runs of a case fit the same model to the same recordings and are evaluated on the same held-out rollouts.
 """
 
 import argparse
@@ -18,8 +18,8 @@ from typing import Any
 
 from measure import make_parser, report
 
-OPEN = ("segments.count=auto", "segments.length=auto")  # what the experiment's own file says
-CASES = {  # options of the experiment that was made by hand, and what leaves it to the recipe besides recipe=auto
+OPEN = ("segments.count=auto", "segments.length=auto")  # settings fixed in the experiment's file
+CASES = {  # options of the hand-made experiment, and options that recipe=auto needs in addition
     "twin": (("experiment=kovalev2026", "model=coulomb_stribeck"), OPEN),
     "twin_gear": (("experiment=zoo", "model=harmonic_drive"), (*OPEN, "bench.params.delay.identify=auto")),
     "emps": (("experiment=emps",), ()),
@@ -42,7 +42,7 @@ COLUMNS = {
 
 
 def main() -> None:
-    """Each case, and their table."""
+    """Run each case and report a table."""
     options, more = parse()
     rows = []
     for case in options.cases:
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def parse() -> tuple[argparse.Namespace, list[str]]:
-    """The command line, and the options of all runs after `--`."""
+    """Parse the command line; return it with the options of all runs, given after `--`."""
     parser = make_parser("recipe", __doc__)
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("overrides", nargs="*", metavar="OPTION=VALUE", help="options of every run")
@@ -66,19 +66,19 @@ def parse() -> tuple[argparse.Namespace, list[str]]:
 
 
 def run(*options: str) -> tuple[dict[str, Any], float]:
-    """The result of a run, and what it took [s]."""
+    """Run a job; return its result and its duration [s]."""
     with tempfile.TemporaryDirectory() as scratch:
         command = [sys.executable, "-m", "frictionzoo.run", *options, f"hydra.run.dir={scratch}/run"]
         began = time.perf_counter()
         finished = subprocess.run(command, capture_output=True, text=True)
         seconds = time.perf_counter() - began
-        if finished.returncode not in (0, 3):  # 3: the fit says that it did not identify the drive
+        if finished.returncode not in (0, 3):  # 3: the fit did not identify the drive
             raise SystemExit(f"{' '.join(options)}: {finished.stderr}")
         return json.loads((Path(scratch) / "run" / "result.json").read_text()), seconds
 
 
 def compare(case: str, by_hand: dict[str, Any], automatic: dict[str, Any]) -> dict[str, Any]:
-    """Held-out errors of position of both, in rollouts of the main horizon."""
+    """Return the held-out position errors of both runs, in rollouts of the main horizon."""
     if (one := by_hand["evaluation"]["sha256"]) != (other := automatic["evaluation"]["sha256"]):
         raise SystemExit(f"{case}: rollouts {one[:12]} and {other[:12]}, expected the same")
     tested = [result["by_horizon"][0]["test"] for result in (by_hand, automatic)]

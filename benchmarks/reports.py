@@ -1,11 +1,11 @@
-"""A run's page beside the report of mujoco.sysid: size, time to open, and what of it fits a telephone.
+"""A run's page against the report of mujoco.sysid: size, time to open, and width on a phone.
 
     python benchmarks/reports.py
     python benchmarks/reports.py --runs emps go2 sts3215
 
-Needs `pip install -e ".[sysid]"` and a Chromium. Both tools identify armature, damping and frictionloss of the twin,
-from one recording, and write their reports. The report of mujoco.sysid asks a server for plotly; the copy of this
-environment answers in its place, so that no network counts. It is written without its videos.
+Needs `pip install -e ".[sysid]"` and a Chromium. Both tools identify armature, damping and frictionloss of the twin
+from one recording and write their reports. The mujoco.sysid report requests plotly from a server; the local copy
+answers instead, so network time does not count. That report is written without videos.
 """
 
 import argparse
@@ -45,7 +45,7 @@ LOADED = "() => performance.getEntriesByType('navigation')[0].loadEventEnd / 100
 
 
 def main() -> None:
-    """Each page, and their table."""
+    """Measure each page and report a table."""
     options = parse()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("reports", __doc__)
     parser.add_argument(
         "--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="runs whose pages are looked at"
@@ -71,7 +71,7 @@ def parse() -> argparse.Namespace:
 
 
 def find_chromium() -> str:
-    """Where the browser is."""
+    """Return the path of the browser."""
     names = ("chromium", "chromium-browser", "google-chrome")
     if (found := next(filter(None, map(shutil.which, names)), None)) is None:
         raise SystemExit(f"no browser among {', '.join(names)} on the PATH; install one")
@@ -79,19 +79,19 @@ def find_chromium() -> str:
 
 
 def report_of_run(folder: Path, samples: int) -> Path:
-    """The page of a run of this project."""
+    """Return the page of a frictionzoo run."""
     command = [sys.executable, "-m", "frictionzoo.run", "model=mujoco_default", "data=twin", "fit=lm"]
     finished = subprocess.run(
         [*command, f"data.samples={samples}", f"hydra.run.dir={folder}"], capture_output=True, text=True
     )
-    if finished.returncode not in (0, 3):  # 3: it says that it did not identify the drive
+    if finished.returncode not in (0, 3):  # 3: the fit did not identify the drive
         raise SystemExit(finished.stderr)
     return folder / "report.html"
 
 
 def report_of_sysid(folder: Path, samples: int, count: int) -> Path:
-    """The report of mujoco.sysid."""
-    absl.logging.set_verbosity(absl.logging.ERROR)  # states are not among the model's sensors, and it says so
+    """Return the report of mujoco.sysid."""
+    absl.logging.set_verbosity(absl.logging.ERROR)  # sysid warns that states are not model sensors
     settings: Any = OmegaConf.to_container(compose_config("model=mujoco_default", "data=twin"), resolve=True)
     bench, model = build(settings["bench"]), build(settings["model"], nv=1)
     log = read_whole(settings["data"], samples)
@@ -115,7 +115,7 @@ def report_of_sysid(folder: Path, samples: int, count: int) -> Path:
 
 
 def look(chromium: Browser, name: str, path: Path, repeats: int) -> dict[str, Any]:
-    """One page, opened several times in a window of its own."""
+    """Open one page several times, each time in a new window; return its row."""
     seen = [open_once(chromium, path) for _ in range(repeats)]
     found = {
         key: statistics.median(each[key] for each in seen) for key in ("loaded", "drawn", "figures", "height", "width")
@@ -124,7 +124,7 @@ def look(chromium: Browser, name: str, path: Path, repeats: int) -> dict[str, An
 
 
 def open_once(chromium: Browser, path: Path) -> dict[str, Any]:
-    """What there is to see of a page, on a screen and on a telephone."""
+    """Measure a page on a screen, and its width on a phone."""
     page, asked = visit(chromium, path, SCREEN)
     found = {"asked": asked, "loaded": page.evaluate(LOADED)}
     page.wait_for_function(FIRST)
@@ -140,7 +140,7 @@ def open_once(chromium: Browser, path: Path) -> dict[str, Any]:
 
 
 def visit(chromium: Browser, path: Path, width: int) -> tuple[Page, int]:
-    """A page in a window of its own that is so wide, and how often it has asked a server for something."""
+    """Open a page in a new window of this width; return it with its number of server requests."""
     page, asked = chromium.new_context(viewport={"width": width, "height": 900}).new_page(), []
 
     def answer(route: Route) -> None:

@@ -1,16 +1,16 @@
-"""A quadruped's twelve joints, and a chain of seven: frictionzoo beside mujoco.sysid.
+"""frictionzoo against mujoco.sysid on a quadruped's twelve joints and on a chain of seven.
 
     FRICTIONZOO_DATA=FOLDER python benchmarks/robot.py
     python benchmarks/robot.py --variants chain --parts whole --seconds 4
 
-The quadruped's recordings are those of `conf/data/go2.yaml`; the chain is a hidden one of `newcomer.py`, without
-offsets. Needs `pip install -e ".[sysid]"`. Both find armature, frictionloss and damping of each joint, a constant
-torque or an encoder's offset of each joint, and by how much commands act late, from the same segments, start and
-bounds, in steps of 5 ms (the chain: 2 ms); both minimise the squared errors of position. sysid does so on finite
-differences of MuJoCo C: `plain` as its documentation has it; `whole` and `legs` with all segments side by side and a
-model compiled once a vector, which it leaves to its user, for the whole robot at once or for each leg on its own,
-which then has its own delay. What they find is judged alike: by closed-loop rollouts of whole test runs in MuJoCo C,
-in steps of 1 ms. Each row is a process of its own.
+Needs `pip install -e ".[sysid]"`. The quadruped uses the recordings of `conf/data/go2.yaml`; the chain is a hidden
+chain of `newcomer.py`, without offsets. Both tools identify armature, frictionloss and damping of each joint, a
+constant torque or an encoder offset of each joint, and the command delay. They use the same segments, initial values,
+bounds and timestep of 5 ms (chain: 2 ms), and minimise squared position errors. sysid uses finite differences of
+MuJoCo C. Its variant `plain` follows its documentation. `whole` and `legs` roll out all segments together with one
+compiled model per vector, which sysid leaves to its user: for the whole robot, or for each leg with a separate delay.
+Closed-loop rollouts of whole test runs in MuJoCo C, with a timestep of 1 ms, evaluate all results. Each row runs in a
+separate process.
 """
 
 import argparse
@@ -40,10 +40,10 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import Segments, cut_rollouts
 
 EXPERIMENTS = {"torque": "go2_torque", "bias": "go2"}
-"""By what a joint has besides armature, friction and the delay: a constant torque, or an encoder's offset."""
+"""Experiment by the additional parameter of each joint: a constant torque, or an encoder offset."""
 CHAIN, SEED = "chain", 7
 PARTS = {"plain": ", plain", "whole": "", "legs": ", leg by leg"}
-JUDGED = 0.001  # s, simulation step of the rollouts that judge
+JUDGED = 0.001  # s, timestep of the evaluation rollouts
 COLUMNS = {
     "variant": "variant",
     "tool": "tool",
@@ -64,11 +64,11 @@ COLUMNS = {
 }
 
 Found = dict[str, list[float]]
-"""Values of each parameter, one a joint."""
+"""Values of each parameter, one per joint."""
 
 
 def main() -> None:
-    """A process for each identification, then one judge for all; or be such a process."""
+    """Start a process per identification and evaluate the results; or identify as such a process."""
     options = parse()
     if options.row is not None:
         print(json.dumps(measure(**json.loads(options.row))))
@@ -78,7 +78,7 @@ def main() -> None:
 
 
 def compare(options: argparse.Namespace) -> None:
-    """Identify and judge each variant by each tool."""
+    """Identify each variant with each tool, evaluate and report."""
     rows = []
     for variant in options.variants:
         judge = Judge(compose(variant, options), options.seconds)
@@ -96,7 +96,7 @@ def compare(options: argparse.Namespace) -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("robot", __doc__)
     parser.add_argument("--variants", nargs="+", choices=[*EXPERIMENTS, CHAIN], default=[*EXPERIMENTS])
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="of sysid")
@@ -110,7 +110,7 @@ def parse() -> argparse.Namespace:
 
 
 def compose(variant: str, options: argparse.Namespace) -> dict[str, Any]:
-    """The settings of the experiment, without the cache of compiled functions."""
+    """Return the settings of the experiment, without the compilation cache."""
     cut = (f"segments.count={options.segments}", f"segments.length={options.length}")
     fit = (f"fit.iterations={options.iterations}", f"fit.tolerance={TOLERANCE}", "loop.progress=false")
     judged = (f"evaluation.horizons=[{options.seconds}]", f"evaluation.trajectory={options.seconds}")
@@ -120,7 +120,7 @@ def compose(variant: str, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def describe_chain(scratch: Path) -> list[str]:
-    """Options of the hidden chain, whose recording is made the first time."""
+    """Return the options of the hidden chain, and simulate its recording on the first call."""
     hidden, folder = Hidden.draw(CHAIN, SEED), scratch / CHAIN
     if not folder.exists():
         hidden.record(folder)
@@ -131,16 +131,16 @@ def describe_chain(scratch: Path) -> list[str]:
 def in_own_process(
     options: argparse.Namespace, variant: str, tool: str, parts: str, method: str
 ) -> tuple[dict[str, Any], Found]:
-    """What a new process measures, and what it finds.
+    """Measure an identification in a new process; return its row and its values.
 
     Raises:
-        SystemExit: It failed; its message is on the standard error.
+        SystemExit: The process failed; its message is on standard error.
     """
     named = {"variant": variant, "tool": f"{tool}, {method}{PARTS[parts]}"}
     print(*named.values(), flush=True)
     what = {"settings": compose(variant, options), "tool": tool, "parts": parts, "method": method}
     command = [sys.executable, __file__, "--row", json.dumps(what)]
-    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}  # times are those of a first run
+    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}  # time a first run
     clock = Clock(resource.RUSAGE_CHILDREN)
     finished = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
     if finished.returncode:
@@ -152,9 +152,9 @@ def in_own_process(
 
 
 class Clock:
-    """Time since it was made, and what processors have worked for this process, or for those that it started, since.
+    """Wall time since its creation, and processor time of this process or of its children.
 
-    What else the machine does makes the first longer, and the second hardly.
+    Other load on the machine lengthens the wall time, but hardly the processor time.
     """
 
     def __init__(self, whose: int = resource.RUSAGE_SELF) -> None:
@@ -162,7 +162,7 @@ class Clock:
         self._began = self._now()
 
     def read(self) -> tuple[float, float]:
-        """Both [s]."""
+        """Return wall time and processor time [s]."""
         wall, cpu = (float(now - began) for now, began in zip(self._now(), self._began, strict=True))
         return wall, cpu
 
@@ -172,12 +172,12 @@ class Clock:
 
 
 def measure(settings: dict[str, Any], tool: str, parts: str, method: str) -> dict[str, Any]:
-    """One identification, from files to parameters."""
+    """Measure one identification, from files to parameters."""
     return run_ours(settings) if tool == "frictionzoo" else run_sysid(settings, parts, method)
 
 
 def run_ours(settings: dict[str, Any]) -> dict[str, Any]:
-    """frictionzoo, as `python -m frictionzoo.run` does it up to the parameters."""
+    """Identify with frictionzoo, as `python -m frictionzoo.run` does up to the parameters."""
     from frictionzoo.fit import run_fit
     from frictionzoo.identification import Problem
     from frictionzoo.simulate.context import computing
@@ -202,8 +202,8 @@ def run_ours(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_sysid(settings: dict[str, Any], parts: str, optimizer: str) -> dict[str, Any]:
-    """mujoco.sysid, for the robot as a whole or for each leg of its own."""
-    whole = Clock()  # imports are behind: they are this script's, not those of a user of mujoco.sysid
+    """Identify with mujoco.sysid, for the whole robot or for each leg separately."""
+    whole = Clock()  # starts after the imports: a user of mujoco.sysid has other imports
     bench, params, segments, _ = load(settings)
     branches = np.array(bench.branches if parts == "legs" else [0] * bench.nv)
     legs = [np.flatnonzero(branches == branch) for branch in np.unique(branches)]
@@ -230,17 +230,17 @@ def run_sysid(settings: dict[str, Any], parts: str, optimizer: str) -> dict[str,
 
 
 class Judge:
-    """Rollouts in MuJoCo C, of the test runs in short steps and of what the fits compared."""
+    """Evaluation by rollouts in MuJoCo C, of the test runs with a short timestep and of the fitted segments."""
 
     def __init__(self, settings: dict[str, Any], seconds: float) -> None:
         self.fitted, _, self.segments, dataset = load(settings)
         self.bench = build({**settings["bench"], "timestep": JUDGED})
         history = self.bench.sampling(self.segments.timestep).history
-        # One run after the other, so that each has its error.
+        # Cut runs separately, for an error per run.
         self.runs = [cut_rollouts([log], seconds, None, "consecutive", 0, history).first for log in dataset.test]
 
     def judge(self, values: Mapping[str, Sequence[float]]) -> dict[str, float]:
-        """Root mean squares of the errors of position, over all joints [mrad]."""
+        """Return root mean square position errors over all joints [mrad]."""
         squares = [self._squares(self.bench, values, run) for run in self.runs]
         runs = {f"test_{number}": 1e3 * float(np.sqrt(each.mean())) for number, each in enumerate(squares)}
         train = self._squares(self.fitted, values, self.segments)
@@ -267,7 +267,7 @@ class Judge:
 
 
 def published() -> Found:
-    """What the recordings' owners found with mujoco.sysid, from their file."""
+    """Return the values that the recordings' owners published, identified with mujoco.sysid."""
     file = Robot(str(Path(os.environ["FRICTIONZOO_DATA"]) / "go2" / "go2_published.xml")).file
     return {**{name: value.tolist() for name, value in file.values.items()}, "delay": [0.0] * len(file.joints)}
 

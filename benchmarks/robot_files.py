@@ -1,8 +1,8 @@
-"""Are robots' own files taken as they are? `python benchmarks/robot_files.py FILE_OR_FOLDER...`.
+"""Unmodified robot files as benches, checked against MuJoCo C: `python benchmarks/robot_files.py FILE_OR_FOLDER...`.
 
-Each MJCF and URDF that is named, or lies in a folder that is named, is read as a bench of all its joints of one degree
-of freedom. One step of MuJoCo C with what was read, at random states and commands, is compared with a step of the
-maker's file in which only what the lines of `notes` tell is left out: the floating base, contacts, limits.
+Each MJCF or URDF given, directly or in a folder, is read as a bench with all its joints of one degree of freedom. At
+random states and commands, one MuJoCo C step of the bench is compared with a step of the maker's file. The maker's file
+omits only the parts listed in `notes`: the floating base, contacts, limits.
 """
 
 import argparse
@@ -27,14 +27,14 @@ _LEFT_OUT = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LI
 
 
 def main() -> None:
-    """Read, compare, print, write."""
+    """Read and compare all files, print and write the results."""
     options = parse()
     rows = [describe(path, options.joint, options.notes) for path in find(options.files)]
     report(options.out, rows, COLUMNS, joint=options.joint, states=STATES)
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("robot_files", __doc__)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="MJCF, URDF, or a folder of them")
     parser.add_argument("--joint", nargs="*", metavar="NAME", help="names or patterns, all joints by default")
@@ -43,13 +43,13 @@ def parse() -> argparse.Namespace:
 
 
 def find(places: Sequence[Path]) -> Iterator[Path]:
-    """Files among these, and all model files in folders among these."""
+    """Yield the files among these places, and all model files in the folders."""
     for place in places:
         yield from sorted([*place.rglob("*.urdf"), *place.rglob("*.xml")]) if place.is_dir() else [place]
 
 
 def describe(path: Path, joint: Sequence[str] | None, notes: bool = False) -> dict[str, Any]:
-    """One row."""
+    """Read one file and return its row."""
     row: dict[str, Any] = {"file": "/".join(path.parts[-2:]), "joints": None, "lines": None, "difference": None}
     try:
         robot = read_robot(str(path), joint)
@@ -66,15 +66,16 @@ def describe(path: Path, joint: Sequence[str] | None, notes: bool = False) -> di
 
 
 def reference(path: Path, robot: RobotFile) -> mujoco.MjModel:
-    """The maker's file in MuJoCo's hands, without what nobody wants to have in a bench.
+    """Compile the maker's file in MuJoCo, without the parts that a bench omits.
 
-    Joints that were not chosen and actuators that were not read are deleted, and meshes of bodies that have an inertia
-    or stand still; all else stays.
+    Deletes joints that were not chosen, with their equalities, actuators and tendons that were not read, and meshes of
+    bodies that have an inertia or cannot move. Also deletes contact pairs, sensors, keyframes and visual elements, and
+    disables contacts and limits.
 
     Raises:
         ValueError: MuJoCo does not compile it.
     """
-    mujoco.set_mju_user_warning(lambda text: None)  # what it says is among the notes
+    mujoco.set_mju_user_warning(lambda text: None)  # the notes contain its warnings
     spec = _parse(path)
     for element in (*spec.geoms, *spec.sites, *spec.tendons, *spec.meshes):
         element.material = ""
@@ -91,7 +92,7 @@ def reference(path: Path, robot: RobotFile) -> mujoco.MjModel:
 def _parse(path: Path) -> mujoco.MjSpec:
     with contextlib.suppress(ValueError):
         return mujoco.MjSpec.from_file(str(path))
-    root = ET.parse(path).getroot()  # a URDF with an element twice
+    root = ET.parse(path).getroot()  # a URDF with a duplicate element
     for owner in root.iter("joint"):
         for second in owner.findall("origin")[1:]:
             owner.remove(second)
@@ -134,7 +135,7 @@ def _moves(body: mujoco.MjsBody | None) -> bool:
 
 
 def written(robot: RobotFile, makers: mujoco.MjModel) -> mujoco.MjModel:
-    """What was read as a model: values and actuators in their places, and the solver's options of the maker's file."""
+    """Compile the bench as read, with its values and actuators, and give both models the same solver options."""
     root = ET.fromstring(ET.tostring(robot.root))
     section = ET.SubElement(root, "actuator")
     found = {element.get("name"): element for element in root.iterfind("./worldbody//joint")}
@@ -164,7 +165,7 @@ def _numbers(values: Any) -> str:
 
 
 def difference(makers: mujoco.MjModel, ours: mujoco.MjModel, states: int = STATES, seed: int = 0) -> float:
-    """Largest difference of position and velocity after one step, as a share of the largest of its kind above 1."""
+    """Return the largest difference of positions or velocities after one step, relative to their largest value or 1."""
     rng, largest = np.random.default_rng(seed), 0.0
     reached = {}
     for _ in range(states):

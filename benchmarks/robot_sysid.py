@@ -1,4 +1,4 @@
-"""What `robot.py` gives mujoco.sysid, and what both drives are made of: model, commands, segments."""
+"""Identification by mujoco.sysid for `robot.py`, with model, commands and segments shared by both tools."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,16 +13,16 @@ from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import Param
 from frictionzoo.core.segments import Segments, cut_segments
 
-TOLERANCE = 1e-4  # relative change of the loss at which ours and scipy's solver end; of the step, for MuJoCo's
+TOLERANCE = 1e-4  # relative change of the loss that ends our and scipy's solver; of the step, for MuJoCo's solver
 SETTINGS: dict[str, dict[str, Any]] = {
     "scipy_parallel_fd": {"x_scale": "jac", "ftol": TOLERANCE, "xtol": TOLERANCE, "gtol": TOLERANCE, "diff_step": 1e-6},
     "mujoco": {"x_scale": "jac", "xtol": TOLERANCE, "eps": 1e-6},
 }
-"""Of sysid's optimisers. Their own smallest steps of finite differences meet the tolerance of MuJoCo's solver."""
+"""Options of sysid's optimisers. Their smallest finite-difference steps meet the tolerance of MuJoCo's solver."""
 
 
 def load(settings: Mapping[str, Any]) -> tuple[Bench, dict[str, Param], Segments, Dataset]:
-    """The bench, the parameters with their start and bounds, what a fit compares, and the recordings."""
+    """Return the bench, the parameters with initial values and bounds, the fitted segments, and the recordings."""
     bench = build(settings["bench"])
     model = build(settings["model"], nv=bench.nv)
     model.bind(bench.joints)
@@ -33,12 +33,12 @@ def load(settings: Mapping[str, Any]) -> tuple[Bench, dict[str, Param], Segments
 
 
 class Search:
-    """An identification of these joints by mujoco.sysid.
+    """Identification of some joints by mujoco.sysid.
 
     Attributes:
-        parameters: How many are found.
-        iterations: Jacobians that were taken.
-        rollouts: Vectors of parameters for which all segments were rolled out.
+        parameters: Number of identified parameters.
+        iterations: Number of evaluated Jacobians.
+        rollouts: Number of parameter vectors for which all segments were rolled out.
     """
 
     def __init__(
@@ -54,11 +54,11 @@ class Search:
         self.parameters = self._parameters.size
 
     def run(self, optimizer: str, iterations: int) -> dict[str, np.ndarray]:
-        """The values of each parameter."""
+        """Identify and return the values of each parameter."""
         import absl.logging
         from mujoco import sysid
 
-        absl.logging.set_verbosity(absl.logging.ERROR)  # states are not among the model's sensors, and it says so
+        absl.logging.set_verbosity(absl.logging.ERROR)  # sysid warns that states are not model sensors
         function = sysid.build_residual_fn(
             models_sequences=[self._sequences()],
             modify_residual=self._residual,
@@ -71,7 +71,7 @@ class Search:
             columns = vectors.size // self.parameters
             self.rollouts, self.iterations = self.rollouts + columns, self.iterations + (columns > 1)
             found, *rest = function(vectors, params)
-            # Of several vectors and segments, sysid leaves a column each; a column a vector is what its solvers take.
+            # sysid returns a column per vector and segment; its solvers expect a column per vector.
             if self._together and vectors.ndim > 1:
                 each = found[0].reshape(-1, columns, self._segments.count)
                 found = [each.transpose(2, 0, 1).reshape(-1, columns)]
@@ -86,7 +86,7 @@ class Search:
         parameters = sysid.ParameterDict()
         for name, param in self._params.items():
             start, low, high = (param.each(what, self._nv) for what in ("init", "low", "high"))
-            if name == "delay":  # of all joints; no attribute of a model, but of the rollout
+            if name == "delay":  # common to all joints; set in the rollout, not in the model
                 parameters.add(sysid.Parameter(name, start[0], low[0], high[0]))
             elif param.is_identified:
                 parameters.add(sysid.Parameter(name, start, low, high, modifier=self._writer(name)))
@@ -101,7 +101,7 @@ class Search:
                     spec.actuator(joint).biasprm[0] = value
                 elif name == "position_offset":
                     spec.joint(joint).ref = -value
-                else:  # damping is a polynomial of the speed, of which the first coefficient is the viscous one
+                else:  # damping is a polynomial of speed with the viscous coefficient first
                     setattr(spec.joint(joint), name, [value + damping, 0.0, 0.0] if name == "damping" else value)
 
         return write
@@ -136,7 +136,7 @@ class Search:
         return self._params[name].each("init", self._nv) if known else np.broadcast_to(found[name].value, self._nv)
 
     def _roll_out(self, *, models: Any, datas: Any, initial_states: Any, param_dicts: Any, **mappings: Any) -> Any:
-        """The rollouts of sysid, with commands as late as each vector of parameters says."""
+        """Roll out in sysid with commands delayed by each parameter vector's delay."""
         from mujoco import sysid
 
         times, empty = np.arange(self._segments.length + 1) * self._bench.timestep, np.zeros((1, self._nv))
@@ -151,19 +151,19 @@ class Search:
         return sysid.sysid_rollout(models, datas, controls, initial_states, **named)
 
     def _residual(self, params: Any, predicted: Any, measured: Any, *_: Any, state: np.ndarray, **__: Any) -> tuple:
-        # The plain errors: sysid's own residual would scale each signal by its size.
+        # Plain errors: sysid's default residual scales each signal by its size.
         return state[:, 1 : 1 + self._nv] - measured.data[1:, : self._nv], measured, measured
 
 
 def text_of(bench: Bench, values: Mapping[str, np.ndarray]) -> str:
-    """The MJCF with these values, whose commands act at once: they are late by themselves."""
+    """Return the MJCF with these values and without delay: `delayed` delays the commands."""
     own = {name: value for name, value in values.items() if name not in ("frictionloss", "damping", "delay")}
     known = {**bench.initial_values(), **own, "delay": np.zeros(bench.nv)}
     return bench.mjcf(known, values["frictionloss"], values["damping"])
 
 
 def aim_of(bench: Bench, segments: Segments) -> Float[np.ndarray, "batch samples nv"]:
-    """What MuJoCo's position actuator gets: the desired position, with what the desired velocity adds to it."""
+    """Return the command of MuJoCo's position actuator: the desired position plus the term of the desired velocity."""
     ctrl, inputs, _ = segments.signals
     return bench.actuator.control(np, bench.initial_values(), 0.0, 0.0, ctrl, inputs)
 
@@ -171,7 +171,7 @@ def aim_of(bench: Bench, segments: Segments) -> Float[np.ndarray, "batch samples
 def delayed(
     command: Float[np.ndarray, "batch samples nv"], delay: Float[np.ndarray, "nv"], segments: Segments, timestep: float
 ) -> Float[np.ndarray, "batch steps nv"]:
-    """Commands that are held from sample to sample and act late, as their mean over each simulation step."""
+    """Delay commands held from sample to sample; return their mean over each simulation step."""
     each = round(segments.timestep / timestep)
     steps = np.arange(segments.length * each + 1)[:, None] / each
     at = segments.history + steps - delay / segments.timestep

@@ -1,10 +1,10 @@
-"""How long a user looks at an empty terminal: from the prompt to a command's first sign of life, and to its end.
+"""Start-up time of commands: from the prompt to the first output, and to the end.
 
     python benchmarks/start.py
     python benchmarks/start.py --repeats 5
 
-Each command is a process of its own at a pseudo-terminal, as a user starts it. Warm: the median, after it ran before.
-Cold: files of the environment are not in the system's memory, and nothing is cached that an earlier run computed.
+Each command runs in a separate process on a pseudo-terminal, as a user starts it. Warm: median of repeated runs after
+the cold one. Cold: the environment's files are not in the system's memory, and caches of earlier runs are empty.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from measure import make_parser, report
 
-COMMANDS = {  # what a user does: command, exit status
+COMMANDS = {  # user action: command, exit status
     "help": ("--help", 0),
     "options": ("--cfg job", 0),
     "laws": ("list models", 0),
@@ -44,7 +44,7 @@ COMMANDS = {  # what a user does: command, exit status
         0,
     ),
 }
-PROGRAM = "from frictionzoo.cli.commands import main; main()"  # the console script, of whatever is on the path
+PROGRAM = "from frictionzoo.cli.commands import main; main()"  # the console script, of the package on the path
 COLUMNS = {
     "what": "what the user does",
     "first": "first sign of life [s]",
@@ -53,16 +53,16 @@ COLUMNS = {
     "cold_seconds": "cold: end [s]",
     "status": "exit status",
 }
-SAMPLES, STEP = 16000, 0.001  # of the recording, and its interval [s]
+SAMPLES, STEP = 16000, 0.001  # of the recording: number, interval [s]
 
 
 class Seen(NamedTuple):
-    """A command as its user saw it.
+    """Timing of a command as its user sees it.
 
     Attributes:
-        first: From its start to the first character on the terminal [s].
-        seconds: To its end [s].
-        status: How it ended.
+        first: Time from the start to the first character on the terminal [s].
+        seconds: Time from the start to the end [s].
+        status: Exit status.
     """
 
     first: float
@@ -80,7 +80,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The options."""
+    """Parse the command line."""
     parser = make_parser("start", __doc__)
     parser.add_argument("--repeats", type=int, default=3, metavar="N", help="warm starts that count; 3 by default")
     parser.add_argument("--commands", nargs="+", choices=COMMANDS, metavar="NAME", help="some of the rows")
@@ -88,7 +88,7 @@ def parse() -> argparse.Namespace:
 
 
 def measure(name: str, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """A command's row: it is done once when everything is cold, and then again and again."""
+    """Run a command once cold and then repeatedly warm; return its row."""
     words, expected = COMMANDS[name]
     with tempfile.TemporaryDirectory() as empty:
         # Caches of this package, of fonts and of compiled functions.
@@ -110,7 +110,7 @@ def measure(name: str, folder: Path, options: argparse.Namespace) -> dict[str, A
 
 
 def watch(words: str, folder: Path, variables: dict[str, str]) -> Seen:
-    """Do a command at a terminal of its own."""
+    """Run a command on a new pseudo-terminal."""
     terminal, end = pty.openpty()
     command = [sys.executable, "-c", PROGRAM, *shlex.split(words)]
     began, first = time.perf_counter(), math.nan
@@ -118,7 +118,7 @@ def watch(words: str, folder: Path, variables: dict[str, str]) -> Seen:
         command, cwd=folder, env={**os.environ, **variables}, stdin=subprocess.DEVNULL, stdout=end, stderr=end
     )
     os.close(end)
-    with contextlib.suppress(OSError):  # how a terminal ends whose programs have
+    with contextlib.suppress(OSError):  # a terminal raises this when its programs have ended
         while os.read(terminal, 1 << 16):
             first = time.perf_counter() - began if math.isnan(first) else first
     status = process.wait()
@@ -127,7 +127,7 @@ def watch(words: str, folder: Path, variables: dict[str, str]) -> Seen:
 
 
 def forget_files() -> None:
-    """Have the system drop what it keeps in memory of this environment's files, where it can be asked to."""
+    """Ask the system, if it supports it, to drop this environment's files from its file cache."""
     if not hasattr(os, "posix_fadvise"):
         return
     homes = {Path(path) for path in sys.path if path.endswith("site-packages")} | {Path(__file__).parents[1]}
@@ -137,7 +137,7 @@ def forget_files() -> None:
 
 
 def write_recordings(folder: Path) -> None:
-    """A recording of a drive with friction, and one that has text in it."""
+    """Write a simulated recording of a drive with friction, and a copy that contains text."""
     lines, position, velocity = ["time,qpos,qvel,ctrl"], 0.0, 0.0
     for sample in range(SAMPLES):
         moment = sample * STEP

@@ -1,11 +1,11 @@
-"""Identification against mujoco.sysid: the same samples, parameters, bounds, start and residuals.
+"""frictionzoo against mujoco.sysid on the same samples, parameters, bounds, initial values and residuals.
 
     python benchmarks/sysid.py
 
-Needs `pip install -e ".[sysid]"`. Both minimise the sum of squared errors of position and velocity over 39 open-loop
-rollouts, sysid on finite differences of MuJoCo C, frictionzoo by Levenberg-Marquardt on exact Jacobians of its own
-rollouts. Both optima are judged by the same MuJoCo C rollouts. sysid is compared on states, because it stamps sensors
-one step late.
+Needs `pip install -e ".[sysid]"`. Both tools minimise the sum of squared errors of position and velocity over 39
+open-loop rollouts: sysid with finite differences of MuJoCo C, frictionzoo with Levenberg-Marquardt on exact Jacobians
+of its rollouts. The same MuJoCo C rollouts evaluate both optima. sysid's residuals use states, because it stamps
+sensors one step late.
 """
 
 import argparse
@@ -48,9 +48,9 @@ COLUMNS = {
 
 
 def main() -> None:
-    """Both identifications, one after the other, and their table."""
+    """Run all identifications one after another and report a table."""
     options = parse()
-    absl.logging.set_verbosity(absl.logging.ERROR)  # states are not among the model's sensors, and it says so
+    absl.logging.set_verbosity(absl.logging.ERROR)  # sysid warns that states are not model sensors
     settings: Any = OmegaConf.to_container(compose_config("model=mujoco_default", "data=twin"), resolve=True)
     bench, model = build(settings["bench"]), build(settings["model"], nv=1)
     log = read_whole(settings["data"], options.samples)
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("sysid", __doc__)
     parser.add_argument("--samples", type=int, default=119_981, help="samples of the recording")
     parser.add_argument("--repeats", type=int, default=3, help="runs of each; the median counts")
@@ -78,7 +78,7 @@ def parse() -> argparse.Namespace:
 
 
 def read_whole(settings: Any, samples: int) -> Log:
-    """The twin's recording before it is split into train and test."""
+    """Load the twin's recording without its split into train and test."""
     settings["split"] = {"test_share": 0.5, "gap": 0.0}
     parts = build(settings).load().logs
     first = parts[0]
@@ -90,26 +90,26 @@ def read_whole(settings: Any, samples: int) -> Log:
 
 
 def repeat(times: int, run: Any) -> dict[str, Any]:
-    """The run of median duration."""
+    """Repeat a run and return the row of median duration."""
     runs = sorted((run() for _ in range(times)), key=lambda row: row["seconds"])
     return runs[len(runs) // 2]
 
 
 class Judge:
-    """The objective by MuJoCo C, and what sysid needs to evaluate it."""
+    """Evaluation of the objective by MuJoCo C, and the inputs with which sysid evaluates it."""
 
     def __init__(self, bench: Bench, segments: Segments) -> None:
         self.bench, self.segments = bench, segments
         self.measured = np.concatenate([segments.qpos, segments.qvel], axis=2)
 
     def model(self, values: dict[str, float]) -> mujoco.MjModel:
-        """The bench with these values, compiled."""
+        """Compile the bench with these values."""
         known = self.bench.initial_values() | {"armature": np.array([values["armature"]])}
         frictionloss, damping = (np.array([values[name]]) for name in ("frictionloss", "damping"))
         return mujoco.MjModel.from_xml_string(self.bench.mjcf(known, frictionloss, damping))
 
     def loss(self, values: dict[str, float]) -> float:
-        """Mean squared error of position plus that of velocity."""
+        """Return the mean squared error of position plus the mean squared error of velocity."""
         model = self.model(values)
         start = np.concatenate([np.zeros((len(self.measured), 1)), self.measured[:, 0]], axis=1)
         state, _ = mujoco_rollout.rollout(model, mujoco.MjData(model), start, self.segments.signals.ctrl)
@@ -118,7 +118,7 @@ class Judge:
 
 
 def run_sysid(bench: Bench, model: FrictionModel, segments: Segments, judge: Judge, optimizer: str) -> dict[str, Any]:
-    """One identification by mujoco.sysid."""
+    """Measure one identification by mujoco.sysid."""
     began = time.perf_counter()
     parameters, _, function = pose(bench, model, segments, judge)
     found, _ = sysid.optimize(parameters, function, optimizer, verbose=False)
@@ -134,13 +134,13 @@ def run_sysid(bench: Bench, model: FrictionModel, segments: Segments, judge: Jud
 
 
 def pose(bench: Bench, model: FrictionModel, segments: Segments, judge: Judge) -> tuple[Any, Any, Any]:
-    """What mujoco.sysid takes: parameters, recordings, and residuals of parameters."""
+    """Return the inputs of mujoco.sysid: parameters, recordings, and the residual function."""
     params = {**bench.params, **model.params}
 
     def put(name: str) -> Any:
         def write(spec: mujoco.MjSpec, parameter: Any) -> None:
             value = parameter.value[0]
-            # Damping is a polynomial of the speed, of which the first coefficient is the viscous one.
+            # Damping is a polynomial of speed with the viscous coefficient first.
             setattr(spec.joint(bench.joints[0]), name, [value, 0.0, 0.0] if name == "damping" else value)
 
         return write
@@ -173,7 +173,7 @@ def pose(bench: Bench, model: FrictionModel, segments: Segments, judge: Judge) -
     )
 
     def residual(params: Any, predicted: Any, measured: Any, *_: Any, state: np.ndarray, **__: Any) -> tuple:
-        # The plain errors: sysid's own residual would scale each signal by its size.
+        # Plain errors: sysid's default residual scales each signal by its size.
         return state[:, 1:3] - measured.data[1 : len(state) + 1], measured, measured
 
     function = sysid.build_residual_fn(models_sequences=[sequences], modify_residual=residual, resample_true=False)
@@ -185,7 +185,7 @@ def _mapping(kinds: list) -> tuple[list, list]:
 
 
 def run_ours(bench: Bench, model: FrictionModel, segments: Segments, judge: Judge, dtype: str) -> dict[str, Any]:
-    """One identification by frictionzoo, tracing and compiling included."""
+    """Measure one identification by frictionzoo, including tracing and compiling."""
     jax.clear_caches()
     jax.config.update("jax_enable_x64", dtype == "float64")
     began = time.perf_counter()

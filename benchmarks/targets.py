@@ -1,8 +1,8 @@
-"""Exported drives in the programs that they are for: `python benchmarks/targets.py RUN ... --environments FOLDER`.
+"""Exported drives in their target programs: `python benchmarks/targets.py RUN ... --environments FOLDER`.
 
-Each run's drive is exported for each program, which then simulates the run's long test rollouts on the CPU, in a
-process and where versions clash in an environment of its own, without frictionzoo. The table has how far positions are
-from the drive as frictionzoo simulates it, beside the drive's own error against the recordings.
+Each run's drive is exported for each program. The program simulates the run's long test rollouts on the CPU in a
+separate process without frictionzoo, and in a separate environment if versions clash. The table compares the difference
+of positions from frictionzoo's simulation with the error of that simulation against the recordings.
 """
 
 import json
@@ -41,21 +41,21 @@ COLUMNS = {
     "share": "mean / error",
     "note": "",
 }
-LONGEST = 3600.0  # s that a program may take
-BENCH = ("mjcf", "mujoco")  # its MJCF, and the actuator law's controller
+LONGEST = 3600.0  # s, time limit of a program
+BENCH = ("mjcf", "mujoco")  # the bench's MJCF, and the actuator's controller
 
 
 @dataclass(frozen=True)
 class Program:
-    """What an exported drive is tried in.
+    """Program that simulates an exported drive.
 
     Attributes:
-        name: As the table has it, where the program does not say its version.
-        targets: Exports that its script needs, with their options, the one that is tried first.
-        script: In `benchmarks/rolled`, with its options.
-        environment: Requirements, a file in `benchmarks/rolled`; empty for the environment of this process.
-        lacks: In a few words, what of the files it does otherwise.
-        unrun: In a few words, which part of it another program stands for; the note of every row says so.
+        name: Name in the table if the program does not report its version.
+        targets: Exports that its script needs, with their options; the tested export first.
+        script: Script in `benchmarks/rolled`, with its options.
+        environment: Requirements file in `benchmarks/rolled`; empty for the environment of this process.
+        lacks: Brief list of the files' features that it lacks or simulates differently.
+        unrun: Brief note on a part of it that another program replaces; added to the note of every row.
     """
 
     name: str
@@ -105,7 +105,7 @@ PROGRAMS = {
 
 
 def main() -> None:
-    """Try each drive in each program, print and write the table."""
+    """Simulate each drive in each program, print and write the table."""
     parser = make_parser("targets", __doc__)
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a finished run")
     parser.add_argument("--programs", nargs="+", choices=PROGRAMS, default=list(PROGRAMS), help="all by default")
@@ -120,13 +120,13 @@ def main() -> None:
 
 
 def try_drive(run: Path, programs: Sequence[str], environments: Path, folder: Path) -> list[dict[str, Any]]:
-    """A row for each program.
+    """Export and simulate the drive of a run; return a row for each program.
 
     Args:
         run: Folder of the run.
         programs: Names of `PROGRAMS`.
-        environments: Where environments are, or are made.
-        folder: For the exported files and what was simulated with them.
+        environments: Folder of the environments, which are created if missing.
+        folder: Folder for the exported files and the simulated positions.
     """
     fitted = Identified.load(run)
     folder.mkdir(parents=True)
@@ -146,7 +146,7 @@ def try_drive(run: Path, programs: Sequence[str], environments: Path, folder: Pa
 
 
 def export(run: Path, targets: set[str], folder: Path) -> dict[str, Written]:
-    """These targets, with their options, in folders of these names; what cannot be written says why."""
+    """Write these targets, with their options, to folders of the same names; failed exports carry a reason."""
     written = {}
     for target in sorted(targets):
         name, *options = target.split()
@@ -159,7 +159,7 @@ def export(run: Path, targets: set[str], folder: Path) -> dict[str, Written]:
 
 
 def write_given(fitted: Identified, path: Path) -> None:
-    """Initial states, commands and payloads of the long test rollouts, for `benchmarks/rolled/given.py`."""
+    """Write initial states, commands and payloads of the long test rollouts for `benchmarks/rolled/given.py`."""
     segments, bench, sampling = fitted.segments, fitted.bench, fitted.sampling
     arrays = {"qpos": segments.qpos[:, 0], "qvel": segments.qvel[:, 0]}
     for kind, late in (("recorded", False), ("acting", True)):
@@ -185,7 +185,7 @@ def write_given(fitted: Identified, path: Path) -> None:
 
 
 def simulate(program: Program, environments: Path, folder: Path, out: Path) -> str:
-    """Let a program simulate what lies in a folder; why it did not, in a line, or an empty one."""
+    """Simulate the exports of a folder in a program; return a one-line reason for failure, or an empty string."""
     python = Path(sys.executable)
     if program.environment:
         python, reason = make_environment(ROLLED / program.environment, environments)
@@ -193,7 +193,7 @@ def simulate(program: Program, environments: Path, folder: Path, out: Path) -> s
             return reason
     script, *options = program.script
     command = [str(python), str(ROLLED / script), str(folder / "given.npz"), str(folder), str(out), *options]
-    # What stands in PYTHONPATH is of this environment.
+    # PYTHONPATH belongs to this process's environment.
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     try:
         ended = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=LONGEST, cwd=folder)
@@ -206,7 +206,7 @@ def simulate(program: Program, environments: Path, folder: Path, out: Path) -> s
 
 
 def make_environment(requirements: Path, environments: Path) -> tuple[Path, str]:
-    """Python of an environment with these requirements, made where it is not there; and why it is not, in a line."""
+    """Create an environment if missing; return its Python and a one-line reason for failure, or an empty string."""
     place = environments / requirements.stem
     python, made = place / "bin" / "python", place / "made_of.txt"
     if made.exists() and made.read_bytes() == requirements.read_bytes():
@@ -221,7 +221,7 @@ def make_environment(requirements: Path, environments: Path) -> tuple[Path, str]
 
 
 def compare(fitted: Identified, path: Path, written: Written, of: Program) -> dict[str, Any]:
-    """What a program simulated with these files, against the drive as frictionzoo simulates it."""
+    """Compare a program's simulation of the exported files with frictionzoo's simulation of the drive."""
     assert written.export is not None
     with np.load(path, allow_pickle=False) as file:
         came, program = file["qpos"], str(file["program"])

@@ -1,8 +1,8 @@
-"""Where a loop of one's own in torch gets, beside the compiled fit: `python benchmarks/torch_loop.py`.
+"""Hand-written torch loops against compiled fits: `python benchmarks/torch_loop.py`.
 
-`fz.rollout` in a loop by hand, with torch's Adam and LBFGS, and `fit=adam` and `fit=lm`, each on the segments of
-`data=twin` from the same start: the loss that each reaches, and seconds an iteration. LBFGS counts evaluations of its
-closure. Where a law has a network, `fit=lm` and LBFGS are left out.
+Compares hand-written loops over `fz.rollout`, with torch's Adam and LBFGS, with `fit=adam` and `fit=lm`. All start from
+the same values on the segments of `data=twin`. The table gives the loss reached and the time per iteration; for LBFGS,
+per evaluation of its closure. Models with a network omit `fit=lm` and LBFGS.
 """
 
 import argparse
@@ -32,11 +32,11 @@ COLUMNS = {
     "each": "seconds an iteration",
 }
 LAWS = ("coulomb_stribeck", "lugre", "neural_friction")
-RATE = {"coulomb_stribeck": 2e-3, "lugre": 2e-3, "neural_friction": 1e-2}  # of Adam, in SI units
+RATE = {"coulomb_stribeck": 2e-3, "lugre": 2e-3, "neural_friction": 1e-2}  # learning rate of Adam, in SI units
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, print and write the results."""
     options = parse()
     rows: list[dict[str, Any]] = []
     for law in options.laws:
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("torch_loop", __doc__)
     parser.add_argument("--laws", nargs="*", choices=LAWS, default=LAWS, metavar="LAW", help="some of the laws")
     parser.add_argument("--iterations", type=int, default=700, help="of fit=adam")
@@ -55,7 +55,7 @@ def parse() -> argparse.Namespace:
 
 
 def measure(law: str, options: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """The rows of a law, without the ratio."""
+    """Yield the rows of a friction model, without the ratio."""
     network = law == "neural_friction"
     for fit in ("adam",) if network else ("adam", "lm"):
         problem, device = pose(law, fit, options)
@@ -72,7 +72,7 @@ def measure(law: str, options: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def pose(law: str, fit: str, options: argparse.Namespace) -> tuple[Problem, Any]:
-    """The problem of a run, and what it is computed in."""
+    """Return the problem of a run and its computing context."""
     iterations = [f"fit.iterations={options.iterations}"] if fit == "adam" else []
     config = compose_config(f"model={law}", f"fit={fit}", *iterations, *options.overrides)
     settings: Any = OmegaConf.to_container(config, resolve=True)
@@ -82,7 +82,7 @@ def pose(law: str, fit: str, options: argparse.Namespace) -> tuple[Problem, Any]
 
 
 def closure(problem: Problem, law: FrictionModel) -> tuple[Callable[[], torch.Tensor], list[torch.Tensor]]:
-    """The loss of a run as torch has it, and what moves it."""
+    """Return the loss of a run as a torch closure, and its trainable tensors."""
     bench, segments = problem.bench, problem.segments
     signals = segments.qpos, segments.qvel, segments.signals.ctrl
     qpos, qvel, ctrl = (torch.as_tensor(signal, dtype=torch.float32) for signal in signals)
@@ -97,7 +97,7 @@ def closure(problem: Problem, law: FrictionModel) -> tuple[Callable[[], torch.Te
 
 
 def descend(law: str, problem: Problem, model: FrictionModel, iterations: int) -> dict[str, Any]:
-    """Adam by hand; physical values stay within their bounds."""
+    """Run a hand-written Adam loop; physical values stay within their bounds."""
     loss, moving = closure(problem, model)
     optimiser = torch.optim.Adam(moving, lr=RATE[law], betas=(0.9, 0.9))
     loss().backward()  # compiles it
@@ -113,7 +113,7 @@ def descend(law: str, problem: Problem, model: FrictionModel, iterations: int) -
 
 
 def search_line(law: str, problem: Problem, model: FrictionModel) -> dict[str, Any]:
-    """LBFGS by hand."""
+    """Run a hand-written LBFGS loop."""
     loss, moving = closure(problem, model)
     optimiser = torch.optim.LBFGS(moving, max_iter=200, line_search_fn="strong_wolfe")
     losses: list[float] = []
@@ -133,7 +133,7 @@ def search_line(law: str, problem: Problem, model: FrictionModel) -> dict[str, A
 
 
 def clamp(model: FrictionModel, armature: torch.Tensor) -> None:
-    """Bring values back within their bounds, as `fit=adam` does."""
+    """Clip values to their bounds, as `fit=adam` does."""
     with torch.no_grad():
         armature.clamp_(min=1e-5)
         for name, param in model.params.items():
@@ -141,7 +141,7 @@ def clamp(model: FrictionModel, armature: torch.Tensor) -> None:
 
 
 def row(law: str, way: str, iterations: int, loss: float, seconds: float) -> dict[str, Any]:
-    """One line of the table."""
+    """Return one row of the table."""
     return {
         "law": law,
         "way": way,

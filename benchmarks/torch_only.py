@@ -1,8 +1,7 @@
-"""What torch costs, as a law of its own and as a loop of one's own: `python benchmarks/torch_only.py`.
+"""Cost of torch, as a torch-only model and as a hand-written loop: `python benchmarks/torch_only.py`.
 
-One law, `coulomb_stribeck`, as a formula over `xp`, as that formula in a loop by hand over `frictionzoo.rollout`, and
-as a module in torch alone, in one objective on the paper's drive and its twin's recording: seconds of the loss with its
-gradient, which is what an iteration of Adam costs.
+Times the loss with its gradient, the cost of one Adam iteration, on the paper's drive and its twin's recording. The
+model `coulomb_stribeck` is a formula over `xp`, this formula in a loop over `frictionzoo.rollout`, or a torch module.
 """
 
 import argparse
@@ -36,7 +35,7 @@ ENGINES = ("specialised", "mjx")
 
 
 class TorchCoulombStribeck(TorchFriction):
-    """The law of `coulomb_stribeck`, in torch alone."""
+    """Friction model `coulomb_stribeck`, in torch alone."""
 
     name = "torch_coulomb_stribeck"
     dimensions = CoulombStribeck.dimensions
@@ -47,7 +46,7 @@ class TorchCoulombStribeck(TorchFriction):
     smoothing_velocity: torch.Tensor
 
     def forward(self, state: DriveState) -> FrictionTerms:
-        """The explicit torque."""
+        """Return the explicit torque."""
         share = torch.exp(-((state.qvel / self.stribeck_velocity) ** 2))
         dry = torch.lerp(self.kinetic_torque, self.static_torque, share)
         sign = torch.tanh(state.qvel / self.smoothing_velocity)
@@ -55,7 +54,7 @@ class TorchCoulombStribeck(TorchFriction):
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, print and write the results."""
     options = parse()
     case = knee(options.quick)
     rows: list[dict[str, Any]] = []
@@ -70,7 +69,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("torch_only", __doc__)
     parser.add_argument("--engines", nargs="*", choices=ENGINES, default=ENGINES, metavar="ENGINE", help="one or both")
     parser.add_argument("--quick", action="store_true", help="few segments: the ratio means nothing then")
@@ -78,14 +77,14 @@ def parse() -> argparse.Namespace:
 
 
 def laws(case: Case) -> list[tuple[str, FrictionModel]]:
-    """The law with a formula and the one without, with the same values."""
+    """Return the model as a formula and as a torch module, with the same values."""
     fields = ("init", "low", "high", "scale", "identify")
     params = {name: {key: getattr(param, key) for key in fields} for name, param in case.model.params.items()}
     return [("formula", case.model), ("torch", TorchCoulombStribeck(case.bench.nv, params))]
 
 
 def measure(case: Case, engine: str, law: str, model: FrictionModel) -> tuple[dict[str, Any], np.ndarray]:
-    """One row without comparisons, and the gradient."""
+    """Measure one row without comparisons; return it with the gradient."""
     rollout = Drive.assemble(case.bench, model, engine).rollout
     objective = Objective(Space(case.bench, model, DTYPE), rollout, case.segments, **case.loss)
     function = objective.value_and_grad("reverse")
@@ -100,7 +99,7 @@ def measure(case: Case, engine: str, law: str, model: FrictionModel) -> tuple[di
 
 
 def measure_loop(case: Case, engine: str) -> tuple[dict[str, Any], np.ndarray]:
-    """As `measure`, of a loop in torch around `frictionzoo.rollout`."""
+    """Measure as `measure` does, for a torch loop around `frictionzoo.rollout`."""
     law = copy.deepcopy(case.model)
     signals = case.segments.qpos, case.segments.qvel, case.segments.signals.ctrl
     qpos, qvel, ctrl = (torch.as_tensor(signal, dtype=torch.float32) for signal in signals)
@@ -120,7 +119,7 @@ def measure_loop(case: Case, engine: str) -> tuple[dict[str, Any], np.ndarray]:
     differentiate()
     first = time.perf_counter() - began
     timed = median_time(differentiate)
-    # An optimiser here moves logarithms.
+    # Optimisers of this package move logarithms.
     gradient = [
         g.numpy() * moving[name].detach().numpy() for g, name in zip(timed.answer, case.space.names, strict=True)
     ]
@@ -128,7 +127,7 @@ def measure_loop(case: Case, engine: str) -> tuple[dict[str, Any], np.ndarray]:
 
 
 def describe(case: Case, engine: str, law: str, first: float, timed: Any) -> dict[str, Any]:
-    """A row without comparisons."""
+    """Return a row without comparisons."""
     return {
         "engine": engine,
         "law": law,

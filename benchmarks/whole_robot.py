@@ -1,8 +1,8 @@
-"""A robot of many joints end to end: `python benchmarks/whole_robot.py FILE`, an MJCF or URDF as its maker has it.
+"""End-to-end identification of a robot with many joints: `python benchmarks/whole_robot.py FILE`.
 
-Friction and armature of every joint are drawn at random and hidden. MuJoCo C simulates recordings of position control
-along sums of sines, with encoders' noise; `python -m frictionzoo.run` identifies them from these files in a process of
-its own, without any cache. The row tells what that took, and how far off the values are.
+FILE is the maker's unmodified MJCF or URDF. Friction and armature of every joint are drawn at random and hidden.
+MuJoCo C simulates recordings of position control along sums of sines, with encoder noise. `python -m frictionzoo.run`
+identifies the values from these files in a separate process without caches. The row gives the cost and the errors.
 """
 
 import argparse
@@ -42,15 +42,15 @@ COLUMNS = {
     "test": "test [mrad]",
 }
 STEP = 0.002  # s
-NOISE = 1e-5  # rad, standard deviation of the encoders'
+NOISE = 1e-5  # rad, standard deviation of the encoder noise
 GAINS = {"kp": 200.0, "kd": 5.0}  # N m/rad, N m s/rad
 SIGNALS = {"qpos": "rad", "qvel": "rad/s", "ctrl": "rad"}
 RANGES = {"armature": (0.02, 0.2), "frictionloss": (0.2, 2.0), "damping": (0.1, 1.0)}
-"""Of what is hidden [kg m^2, N m, N m s/rad]."""
+"""Ranges of the hidden values [kg m^2, N m, N m s/rad]."""
 
 
 def main() -> None:
-    """Simulate, identify, compare, print, write."""
+    """Simulate, identify and compare; print and write the results."""
     options = parse()
     robot = Robot(str(options.file.resolve()), actuator=PositionPD(kp=GAINS["kp"], kd=GAINS["kd"]), timestep=STEP)
     rng = np.random.default_rng(options.seed)
@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = make_parser("whole_robot", __doc__)
     parser.add_argument("file", type=Path, metavar="FILE", help="of the robot")
     parser.add_argument("--recordings", type=int, default=5, help="the last one tests")
@@ -82,7 +82,7 @@ def parse() -> argparse.Namespace:
 def simulate(
     robot: Robot, hidden: Mapping[str, np.ndarray], seconds: float, rng: np.random.Generator
 ) -> Mapping[str, Float[np.ndarray, "samples nv"]]:
-    """What the robot would record: positions, velocities and commands."""
+    """Simulate a recording: positions, velocities and commands."""
     text = robot.mjcf({**robot.initial_values(), "armature": hidden["armature"]}, hidden["frictionloss"])
     model = mujoco.MjModel.from_xml_string(text)
     model.dof_damping[:] = hidden["damping"]
@@ -100,14 +100,14 @@ def simulate(
 
 
 def write(path: Path, signals: Mapping[str, Float[np.ndarray, "samples nv"]]) -> None:
-    """A CSV file with a column a signal and joint."""
+    """Write a CSV file with one column per signal and joint."""
     header = ["time", *(f"{name}_{joint}" for name, own in signals.items() for joint in range(own.shape[1]))]
     clock = STEP * np.arange(len(signals["ctrl"]))[:, None]
     np.savetxt(path, np.hstack([clock, *signals.values()]), delimiter=",", header=",".join(header), comments="")
 
 
 def identify(options: argparse.Namespace, robot: Robot, folder: Path) -> dict[str, Any]:
-    """What the command takes, and what it finds."""
+    """Run the command; return its cost and the identified values."""
     files = sorted(map(str, folder.glob("*.csv")))
     joints = range(robot.nv)
     given: dict[str, Any] = {
@@ -127,7 +127,7 @@ def identify(options: argparse.Namespace, robot: Robot, folder: Path) -> dict[st
         "evaluation.horizons": [1.0],
         "evaluation.trajectory": 1.0,
         "scale.torque": 5,
-        "recipe": "given",  # each of its choices compiles the whole robot anew
+        "recipe": "given",  # automatic settings would compile the whole robot for each choice
         "compilation_cache": "null",
         "loop.progress": "false",
     }
@@ -153,7 +153,7 @@ def identify(options: argparse.Namespace, robot: Robot, folder: Path) -> dict[st
 
 
 def text(value: Any) -> str:
-    """A value as Hydra reads it."""
+    """Format a value for Hydra."""
     return f"[{','.join(map(text, value))}]" if isinstance(value, list) else str(value)
 
 

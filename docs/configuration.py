@@ -1,4 +1,4 @@
-"""The configuration as a page: every file of conf/, every option with its value and its comment."""
+"""Page of the configuration: every file of conf/, every option with its value and comment."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ SPECIAL = re.compile(r"([*<|\[\]])")
 
 
 class Row(NamedTuple):
-    """One option: its name on the command line, its value as written, what the comment says."""
+    """One option: command-line name, value as written, and comment."""
 
     option: str
     value: str
@@ -27,10 +27,10 @@ class Row(NamedTuple):
 
 
 def render(folder: Path) -> str:
-    """The page as Markdown.
+    """Return the page as Markdown.
 
     Args:
-        folder: The configuration, one folder a group.
+        folder: Folder of the configuration, with one subfolder per group.
     """
     groups: dict[str, list[Path]] = {}
     for path in sorted(folder.rglob("*.yaml"), key=lambda path: (len(path.relative_to(folder).parts) > 1, path)):
@@ -40,11 +40,11 @@ def render(folder: Path) -> str:
 
 
 def read_rows(path: Path, group: str) -> list[Row]:
-    """The options of a file.
+    """Return the options of a file.
 
     Args:
         path: The file.
-        group: Its folder below conf/; "." for none.
+        group: Folder of the file below conf/; "." for conf/ itself.
     """
     text = path.read_text()
     package = PACKAGE.search(text)
@@ -64,7 +64,7 @@ def _render_group(group: str, paths: Sequence[Path]) -> Iterator[str]:
 
 
 def _describe(text: str) -> str:
-    """The comment at the head of a file, commands in it as code."""
+    """Return the comment at the head of a file, with commands as code."""
     lines = text[: re.match(r"(#.*\n)*", text).end()].splitlines()
     said = [line.removeprefix("#").strip() for line in lines if not PACKAGE.match(line)]
     return "\n".join(COMMAND.sub(r"`\1`  ", line) if COMMAND.match(line) else _escape(line) for line in said)
@@ -76,7 +76,7 @@ def _render_row(row: Row) -> str:
 
 
 def _rows(prefix: str, node: yaml.Node, lines: Sequence[str]) -> Iterator[Row]:
-    """Options of a mapping, in order; a section has a row of its own where something is said about it."""
+    """Yield the options of a mapping, in order; a section with a comment has a row, too."""
     for key, value in node.value:
         if key.value == "defaults":
             yield from _choices(value, lines)
@@ -91,7 +91,7 @@ def _rows(prefix: str, node: yaml.Node, lines: Sequence[str]) -> Iterator[Row]:
 
 
 def _choices(node: yaml.Node, lines: Sequence[str]) -> Iterator[Row]:
-    """Entries of a defaults list: the file that a group takes."""
+    """Yield the entries of a defaults list: the default file of each group."""
     for item in node.value:
         if isinstance(item, yaml.MappingNode):
             ((key, value),) = item.value
@@ -102,7 +102,7 @@ def _choices(node: yaml.Node, lines: Sequence[str]) -> Iterator[Row]:
 
 
 def _source(node: yaml.Node, lines: Sequence[str]) -> str:
-    """A value as it is written, on one line."""
+    """Return a value as written, on one line."""
     start, end = node.start_mark, node.end_mark
     if end.line == start.line:
         return lines[start.line][start.column : end.column]
@@ -110,7 +110,7 @@ def _source(node: yaml.Node, lines: Sequence[str]) -> str:
 
 
 def _comment(key: yaml.Node, value: yaml.Node, lines: Sequence[str]) -> str:
-    """What stands above a key, and behind its value, or behind it where the value begins on the next line."""
+    """Return the comments above a key and after its value, or after the key if the value begins on the next line."""
     first, column = key.start_mark.line, key.start_mark.column
     above = first
     while not lines[first][:column].strip() and above > 0 and lines[above - 1].strip().startswith("#"):
@@ -122,7 +122,7 @@ def _comment(key: yaml.Node, value: yaml.Node, lines: Sequence[str]) -> str:
 
 
 def _escape(text: str) -> str:
-    """Text in which Markdown sees nothing but code."""
+    """Escape a text so that Markdown formats only its code."""
     parts = re.split(r"(`[^`]*`)", text)
     parts[::2] = [SPECIAL.sub(r"\\\1", part) for part in parts[::2]]
     return "".join(parts)

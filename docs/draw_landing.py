@@ -1,4 +1,4 @@
-"""Draw README's picture: a recording beside its simulation from the same first state, with friction and without."""
+"""Picture of README: a recording and its simulations from the same initial state, with and without friction."""
 
 import argparse
 import subprocess
@@ -16,9 +16,9 @@ from frictionzoo.show.colors import BASELINE, GRID, MEASURED, MODEL, TEXT
 
 PICTURE = Path(__file__).parent / "landing.svg"
 JOB = ("data=twin", "model=mujoco_default", "fit=lm", "loop.progress=false")
-EVERY = 12  # samples of 1 ms; a screen shows no more of 3 s
+EVERY = 12  # samples of 1 ms; a screen does not resolve more in 3 s
 STYLE: dict[Any, Any] = {
-    "font.size": 18,  # of 720 points across: legible on a phone
+    "font.size": 18,  # at a width of 720 points: legible on a phone
     "text.color": TEXT,
     "axes.labelcolor": TEXT,
     "axes.edgecolor": TEXT,
@@ -30,15 +30,15 @@ STYLE: dict[Any, Any] = {
     "xtick.color": TEXT,
     "ytick.color": TEXT,
     "legend.frameon": False,
-    "svg.hashsalt": "landing",  # the same drawing is the same file
+    "svg.hashsalt": "landing",  # the same drawing gives the same file
 }
 
 
 def draw(fit: fz.Identified) -> Figure:
-    """Position and error in the first long test rollout, on a ground of its own for pages of any colour.
+    """Draw position and error in the first long test rollout, on a white background for pages of any colour.
 
     Args:
-        fit: A drive of simulated data: the picture passes no real recording on.
+        fit: Identified drive of simulated data: the picture must not publish a real recording.
     """
     assert fit.result["data"]["origin"] == "simulated", "expected simulated data"
     curves = fit.curves
@@ -63,7 +63,7 @@ def draw(fit: fz.Identified) -> Figure:
 
 
 def main() -> None:
-    """Draw it, of a run that is named or made."""
+    """Draw the picture of a given run, or of a new one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", nargs="?", type=Path, help="folder of a run; left out, one is made first")
     given = parser.parse_args().run

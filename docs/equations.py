@@ -1,7 +1,7 @@
-"""Typesets the equations of docstrings: plain text as LaTeX, which GitHub shows as it is.
+"""Typesetting of equations in docstrings: from plain text to LaTeX, which GitHub displays.
 
-In plain text a product is written by spaces, an index by `_`, a power by `^`, an absolute value by bars. A quotient `/`
-with spaces around it divides all factors before it by the next; one without them only its neighbours. Words stay words.
+In plain text, spaces mean a product, `_` an index, `^` a power and bars an absolute value. A `/` with spaces divides
+all factors before it by the next factor; a `/` without spaces divides only its neighbours. Words stay words.
 """
 
 import itertools
@@ -12,30 +12,30 @@ TOKEN = re.compile(r"( *)([A-Za-z]+(?:'s\b)?|\d+(?:\.\d+)?|\.\.\.|<=|>=|\S)")
 GREEK = ("alpha", "tau")
 FUNCTIONS = ("cos", "exp", "log", "sin", "tanh")
 SIGNS = {"<=": r"\le", ">=": r"\ge", "...": r"\dots", ",": r",\ ", ";": r";\ ", ":": r":\ "}
-NO_TERM = {"", "+", "-", "=", "<", ">", ")", "|", *SIGNS}  # what ends a product
+NO_TERM = {"", "+", "-", "=", "<", ">", ")", "|", *SIGNS}  # tokens that end a product
 
 
 class Token(NamedTuple):
-    """A name, a number or a sign, and how many spaces are before it."""
+    """A name, number or sign, with the number of spaces before it."""
 
     spaces: int
     text: str
 
 
 def to_fences(equations: str) -> str:
-    """Markdown of equations, a block of LaTeX for each line.
+    """Return equations as Markdown, one block of LaTeX per line.
 
     Args:
-        equations: In plain text.
+        equations: Equations in plain text.
 
     Raises:
-        ValueError: A parenthesis or a bar without the other.
+        ValueError: A parenthesis or bar has no partner, or a factor is missing.
     """
     return "\n\n".join(f"```math\n{_Line(line).read()}\n```" for line in equations.splitlines())
 
 
 class _Line:
-    """One line, read once from left to right."""
+    """One line, parsed once from left to right."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -48,7 +48,7 @@ class _Line:
         return latex
 
     def terms(self, end: str = "") -> str:
-        """Products and the signs between them, up to and with the sign that ends them."""
+        """Read products and the signs between them, up to and including the sign that ends them."""
         parts: list[str] = []
         while (token := self.next()).text not in ("", end or ")", ")"):
             if token.spaces > 1:
@@ -75,13 +75,13 @@ class _Line:
         return _multiply(factors)
 
     def opens_bar(self) -> bool:
-        """Whether a bar comes that opens: it has a space before it and none after it."""
+        """Return whether an opening bar follows: it has a space before it and none after it."""
         if self.next().text != "|" or not self.next().spaces or len(self.left) < 2:
             return False
         return not self.left[1].spaces
 
     def factor(self) -> str:
-        """A symbol, number, word, call, parenthesis or absolute value, with its index and power."""
+        """Read a symbol, number, word, call, parenthesis or absolute value, with its index and power."""
         text = self.take()
         if text in ("(", "|"):
             latex = self.enclosed(text)
@@ -102,7 +102,7 @@ class _Line:
         return rf"\left{opening} {self.terms(closing)} \right{closing}"
 
     def raised(self, mark: str) -> str:
-        """The index or power that follows, if one does: what is in parentheses, or one symbol, sign or call."""
+        """Read an optional index or power: an expression in parentheses, or one symbol, sign or call."""
         if not self.touches(mark):
             return ""
         self.take()
@@ -139,7 +139,7 @@ def _symbol(text: str, called: bool) -> str:
 
 
 def _multiply(factors: list[str]) -> str:
-    """Factors side by side, words with the space of words."""
+    """Join factors, with word spaces around words."""
     latex = factors[0]
     for before, factor in itertools.pairwise(factors):
         latex += (r"\ " if before.startswith(r"\text") or factor.startswith(r"\text") else r"\,") + factor
@@ -147,7 +147,7 @@ def _multiply(factors: list[str]) -> str:
 
 
 def _bare(latex: str) -> str:
-    """Numerator or denominator without the parentheses that a fraction does without."""
+    """Strip the parentheses that a numerator or denominator does not need."""
     inner = re.fullmatch(r"\\left\( (.*) \\right\)", latex)
     if inner is None:
         return latex

@@ -1,8 +1,8 @@
-"""What MkDocs does besides: pages from files outside docs/, and links that lead to the right place on the site.
+"""MkDocs hooks: pages from files outside docs/, and links converted for the site.
 
-A text exists once. README.md is the front page. Other files outside docs/ become pages under their own path; the
-notebooks and the configuration become Markdown. In place of `<!-- plug-ins: KIND -->` come the modules that hold this
-package's plug-ins of that kind. Equations, which are LaTeX, become MathML.
+Each text exists once. README.md is the front page. Other files outside docs/ become pages under the same path; the
+notebooks and the configuration become Markdown. `<!-- plug-ins: KIND -->` is replaced with the modules of this
+package's plug-ins of that kind. LaTeX equations become MathML.
 """
 
 import json
@@ -25,11 +25,11 @@ PAGES = ("CONTRIBUTING.md", "CHANGELOG.md", "experiments/*/README.md", "benchmar
 COPIED = ("LICENSE", "notebooks/*.ipynb")
 EQUATION = re.compile(r"^```math\n(.*?)\n```$", re.M | re.S)
 PLUG_INS = re.compile(r"^<!-- plug-ins: (\w+) -->$", re.M)
-LINK = re.compile(r"(?<=\]\()([^()\s:#]*)(?:#([\w-]+))?(?=\))")  # to another place of the project
+LINK = re.compile(r"(?<=\]\()([^()\s:#]*)(?:#([\w-]+))?(?=\))")  # to another file or section of the project
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add what lies outside docs/."""
+    """Add the files outside docs/."""
     for path in _find(*PAGES):
         files.append(File.generated(config, path, content=(ROOT / path).read_text()))
     for path in _find(*COPIED):
@@ -42,7 +42,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn the repository's links into the site's."""
+    """Convert repository links to site links, add plug-ins and typeset equations."""
     here = page.file.src_uri
     notebook = f"{here.removesuffix('.md')}.ipynb"
     written = next((path for path in (here, notebook) if (ROOT / path).exists()), f"docs/{here}")
@@ -56,14 +56,14 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def typeset(markdown: str) -> str:
-    """A page whose blocks of LaTeX are MathML, which browsers show without a script and without fonts from anywhere."""
+    """Convert LaTeX blocks to MathML, which browsers display without scripts and external fonts."""
     return EQUATION.sub(
         lambda block: f'<div class="equation">{converter.convert(block[1], display="block")}</div>', markdown
     )
 
 
 def add_plug_ins(markdown: str) -> str:
-    """A page of the reference with the modules of its plug-ins."""
+    """Insert the modules of the plug-ins into a page of the reference."""
 
     def modules(match: re.Match[str]) -> str:
         return "\n\n".join(f"::: {module}" for module in sorted({one.module for one in KINDS[match[1]].own().values()}))
@@ -72,12 +72,12 @@ def add_plug_ins(markdown: str) -> str:
 
 
 def _find(*patterns: str) -> Iterator[str]:
-    """Paths from the root, as in a link."""
+    """Yield paths relative to the root, as in a link."""
     return (path.relative_to(ROOT).as_posix() for pattern in patterns for path in sorted(ROOT.glob(pattern)))
 
 
 def _page_of(path: str) -> str:
-    """What the site calls a file of the repository."""
+    """Return the path on the site of a file of the repository."""
     if path == "README.md":
         return FRONT
     if path.partition("/")[0] == "conf":
@@ -86,9 +86,9 @@ def _page_of(path: str) -> str:
 
 
 def _read_notebook(path: Path) -> str:
-    """The cells of a notebook as Markdown, and where to get the notebook itself."""
+    """Return the cells of a notebook as Markdown, with a link to the notebook file."""
     cells = json.loads(path.read_text())["cells"]
     texts = [(cell["cell_type"], "".join(cell["source"])) for cell in cells]
     parts = [text if kind == "markdown" else f"```python\n{text}\n```" for kind, text in texts]
-    # HTML, because a Markdown link to the notebook would lead to this page.
+    # HTML, because on_page_markdown would convert a Markdown link to this page.
     return "\n\n".join([*parts, f'<a href="{path.name}" download>{path.name}</a> is this page as a notebook.'])

@@ -1,4 +1,4 @@
-"""Writes what pages say of plug-ins from their docstrings: `python docs/write_plugins.py`."""
+"""Pages of plug-ins, written from docstrings: `python docs/write_plugins.py`."""
 
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -31,10 +31,10 @@ python -m frictionzoo.list models methods
 
 
 def render_models(text: str) -> str:
-    """The page of the laws with its table and its sections made anew, and all else as it is.
+    """Return the page of friction models with new table and sections; all other text stays.
 
     Args:
-        text: The page, with a pair of comments around each of the two.
+        text: The page, with a pair of comments around the table and around the sections.
     """
     for part, content in (("table", table_of_laws()), ("sections", "\n\n".join(map(section_of, choices())))):
         pattern = rf"(<!-- {part} [^\n]*-->\n).*?(\n<!-- end of {part} -->)"
@@ -44,15 +44,15 @@ def render_models(text: str) -> str:
 
 
 def render_plugins() -> str:
-    """The page of all kinds."""
+    """Return the page of all kinds of plug-ins."""
     return "\n".join([HEAD, *(f"## {kind.noun.capitalize()}s\n\n{table_of(name)}" for name, kind in KINDS.items())])
 
 
 def table_of(plural: str) -> str:
-    """The plug-ins of a kind that frictionzoo itself brings.
+    """Return a table of frictionzoo's plug-ins of a kind.
 
     Args:
-        plural: A key of `KINDS`.
+        plural: Key of `KINDS`.
     """
     kind = KINDS[plural]
     rows = [
@@ -64,18 +64,18 @@ def table_of(plural: str) -> str:
 
 
 def table_of_laws() -> str:
-    """One row a choice of `model=`."""
+    """Return a table with one row per choice of `model=`."""
     rows = ((f"[`{name}`](#{name})", _summary(name), _parameters(_law(name))) for name in choices())
     return _tabulate(("`model=`", "friction", "parameters"), rows).rstrip()
 
 
 def choices() -> list[str]:
-    """Every choice of `model=`: each law, and configurations that choose more than a law."""
+    """Return every choice of `model=`: friction models, and configurations that choose more than a model."""
     return sorted(path.stem for path in (CONF_DIR / "model").glob("*.yaml"))
 
 
 def section_of(name: str) -> str:
-    """What a choice of `model=` is: the docstring of its law, or what a configuration of its own says at its head."""
+    """Describe a choice of `model=` by the docstring of its model, or by the head comment of its configuration."""
     text = to_markdown(_law(name).__doc__ or "", typeset=to_fences) if _is_law(name) else _header(name)
     return f"## `{name}`\n\n{text}\n\nOptions: [`conf/model/{name}.yaml`](../conf/model/{name}.yaml)"
 
@@ -85,7 +85,7 @@ def _is_law(name: str) -> bool:
 
 
 def _law(name: str) -> type[FrictionModel]:
-    """The class of a choice; a configuration without a law of its own begins with that of another."""
+    """Return the class of a choice; a configuration without a class starts from another configuration."""
     if _is_law(name):
         return get_model(name)
     first = yaml.safe_load((CONF_DIR / "model" / f"{name}.yaml").read_text())["defaults"][0]
@@ -98,7 +98,7 @@ def _summary(name: str) -> str:
 
 
 def _header(name: str) -> str:
-    """The comment with which a file of `conf/model` begins."""
+    """Return the head comment of a file in `conf/model`."""
     lines = (CONF_DIR / "model" / f"{name}.yaml").read_text().splitlines()
     comments = lines[: next(i for i, line in enumerate(lines) if not line.startswith("#"))]
     return "\n".join(line.removeprefix("# ") for line in comments if not line.startswith("# @package"))

@@ -1,4 +1,4 @@
-"""Writes the pages of JSON files from their schemas, docs/result.md for one: `python docs/write_result.py`."""
+"""Pages of JSON files, such as docs/result.md, written from their schemas: `python docs/write_result.py`."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -36,10 +36,10 @@ TABLE = "| key | type | meaning |\n|---|---|---|\n"
 
 
 def render(name: str) -> str:
-    """The page as Markdown.
+    """Return the page as Markdown.
 
     Args:
-        name: One of `SCHEMAS`.
+        name: Key of `SCHEMAS`.
     """
     schema = SCHEMAS[name]()
     definitions = schema.get("$defs", {})
@@ -60,7 +60,7 @@ def render(name: str) -> str:
 
 
 def _rows(path: str, field: Mapping[str, Any], definitions: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Path, type and meaning of a field and of what is inside it, but for objects that have a section of their own."""
+    """Yield path, type and meaning of a field and its inner fields, except objects with a separate section."""
     kind = field.get("$ref", "").rpartition("/")[2]
     if "properties" in definitions.get(kind, {}):
         yield path, f"*{kind}*", field.get("description", definitions[kind].get("description", ""))

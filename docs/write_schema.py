@@ -1,4 +1,4 @@
-"""Writes the JSON schemas of files from the types of what they hold: `python docs/write_schema.py`."""
+"""JSON schemas of files, written from the types of their content: `python docs/write_schema.py`."""
 
 import ast
 import inspect
@@ -15,17 +15,17 @@ from frictionzoo.card.types import Card
 from frictionzoo.comparison.types import Comparison
 from frictionzoo.result.types import Result
 
-TYPES = {"result": Result, "comparison": Comparison, "card": Card}  # NAME.schema.json lies beside the type's file
+TYPES = {"result": Result, "comparison": Comparison, "card": Card}  # NAME.schema.json is next to the type's file
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", NoneType: "null"}
 
 
 def make_schema(name: str) -> dict[str, Any]:
-    """The schema of NAME.json.
+    """Return the schema of NAME.json.
 
-    Objects that stand in one place are described there, others under `$defs`.
+    Objects used in one place are described there, others under `$defs`.
 
     Args:
-        name: One of `TYPES`.
+        name: Key of `TYPES`.
     """
     root = TYPES[name]
     places = Counter(_find_objects(root, set()))
@@ -36,20 +36,20 @@ def make_schema(name: str) -> dict[str, Any]:
 
 
 def find_path(name: str) -> Path:
-    """The schema's file.
+    """Return the path of the schema.
 
     Args:
-        name: One of `TYPES`.
+        name: Key of `TYPES`.
     """
     return Path(inspect.getfile(TYPES[name])).with_name(f"{name}.schema.json")
 
 
 def lay_out(value: Any, indent: str = "") -> str:
-    """JSON in which what holds no object is one line.
+    """Format a value as JSON, with values that hold no object on one line.
 
     Args:
-        value: What it holds.
-        indent: Of the line that it begins on.
+        value: Value to format.
+        indent: Indentation of its first line.
     """
     inner = list(value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ())
     if not any(isinstance(part, Mapping) for part in inner):
@@ -61,7 +61,7 @@ def lay_out(value: Any, indent: str = "") -> str:
 
 
 def _find_objects(hint: Any, seen: set[type]) -> Iterator[type]:
-    """The objects in a type, once for each place in which they stand."""
+    """Yield the object types in a type, once for each use."""
     if is_typeddict(hint):
         yield hint
         inner = () if hint in seen else get_type_hints(hint, include_extras=True).values()
@@ -105,7 +105,7 @@ def _describe(hint: Any, shared: Mapping[type, str]) -> dict[str, Any]:
 
 
 def _read_texts(cls: type) -> dict[str, str]:
-    """The text below each key of a class, where there is one."""
+    """Return the text below each key of a class that has one."""
     tree = ast.parse(inspect.getsource(sys.modules[cls.__module__]))
     bodies = (node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == cls.__name__)
     lines = next(bodies, [])

@@ -1,8 +1,8 @@
-"""Writes a card of each drive that the experiments measured: `python experiments/cards.py --licence cc-by-4.0`.
+"""Cards of the drives measured in the experiments: `python experiments/cards.py --licence cc-by-4.0`.
 
-Of each experiment on recordings of hardware whose runs `python experiments/reproduce.py` has left, it is the run that
-their comparison recommends, of several folds that of the first one. An experiment that was not run has no card.
-Parameter files of BAM that are named besides are judged on the recordings of their servo, and labelled as BAM's.
+Each experiment on hardware recordings gets a card of the run that the comparison of its runs recommends; with folds,
+the comparison of the first fold. `python experiments/reproduce.py` makes the runs; an experiment without runs gets no
+card. BAM parameter files given with `--bam` are evaluated on the recordings of their servo and labelled as BAM's.
 """
 
 import argparse
@@ -21,15 +21,15 @@ from frictionzoo.core.errors import ConfigError, FrictionzooError, RunError, clo
 from frictionzoo.export.read_bam import BamDrive, read_bam
 
 RECORDED = ("xl330",)
-"""Servos of BAM of which there are recordings, as the data set of this name."""
+"""BAM servos with recordings, in a data set of the same name."""
 SOURCE = "Rhoban, https://github.com/Rhoban/bam"
 
 
 def find_drives(runs: Path) -> Iterator[tuple[str, Path]]:
-    """Name of each experiment, and the folder of its recommended run.
+    """Yield the name of each experiment and the folder of its recommended run.
 
     Args:
-        runs: Folder of the experiments' runs, by their names.
+        runs: Folder of the experiments' runs, one subfolder per experiment.
 
     Raises:
         RunError: A run cannot be read, or runs of one experiment cannot be compared.
@@ -45,11 +45,11 @@ def find_drives(runs: Path) -> Iterator[tuple[str, Path]]:
 
 
 def judge(file: Path, drive: BamDrive, folder: Path) -> None:
-    """A run of the values of one of BAM's parameter files.
+    """Run and evaluate the values of a BAM parameter file.
 
     Raises:
         ConfigError: There are no recordings of its servo.
-        RunError: The run ended with a mistake.
+        RunError: The run failed.
     """
     if drive.actuator not in RECORDED:
         raise ConfigError(
@@ -62,13 +62,13 @@ def judge(file: Path, drive: BamDrive, folder: Path) -> None:
 
 
 def write(name: str, folder: Path, options: argparse.Namespace, **others: str) -> None:
-    """A card by this name, and what is to be said of it."""
+    """Write a card with this name; print its path and warnings."""
     place, left = write_card(folder, {"licence": options.licence, "output": str(options.output / name), **others})
     print("\n".join([*(f"warning: {line}" for line in left), f"{name}: {place}"]), flush=True)
 
 
 def main() -> int:
-    """Entry point; the exit status is 1 where a card cannot be written."""
+    """Write all cards; return 1 if a card cannot be written."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--licence", required=True, metavar="ID", help="of the cards, such as cc-by-4.0")
     parser.add_argument("--runs", type=Path, metavar="FOLDER", default=Path("multirun"), help="where the runs are")

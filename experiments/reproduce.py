@@ -1,11 +1,10 @@
-"""Runs an experiment, compares it with what its page says, and writes the page's table.
+"""Reproduction of experiments: runs, checks against the expected numbers, and tables of the pages.
 
-`python experiments/reproduce.py kovalev2026` does what `expected.yaml` in `experiments/kovalev2026` says: it runs the
-commands, compares all their runs, checks the numbers, and puts the table between the marks in the folder's README.md.
-Where it has `folds`, each command runs once for each of them, with its options, and runs of one fold are compared with
-each other. Several names run one after the other, and none stands for all. With `--small` they are what the section
-`small` says instead, as the slow tests do it: seconds on less data, with numbers of its own, and the page stays as it
-is.
+`python experiments/reproduce.py kovalev2026` follows `expected.yaml` in `experiments/kovalev2026`: it runs the
+commands, compares all runs, checks the numbers, and writes the table between the marks in the folder's README.md. With
+`folds`, each command runs once per fold with the fold's options, and runs of the same fold are compared. Several names
+run one after another; no name means all. `--small` takes the section `small` instead, as the slow tests do: it runs
+seconds on less data, checks separate numbers, and does not write the page.
 """
 
 import argparse
@@ -33,26 +32,26 @@ MARKS = re.compile(r"(<!-- table: .* -->\n).*?(<!-- end of table -->)", re.S)
 
 
 def read_expected(name: str, small: bool = False) -> dict[str, Any]:
-    """What `expected.yaml` of an experiment says.
+    """Return the content of an experiment's `expected.yaml`.
 
     Args:
         name: The experiment's folder.
-        small: Take what its section `small` has, if there is one, for what stands outside under the same name.
+        small: Replace keys by the keys of the section `small`, if there is one.
     """
     expected = yaml.safe_load((EXPERIMENTS / name / "expected.yaml").read_text())
     return expected | expected.get("small", {}) if small else expected
 
 
 def start(*arguments: str) -> None:
-    """Run `python -m frictionzoo.run` as a process of its own, and raise if it fails.
+    """Run `python -m frictionzoo.run` in a separate process.
 
-    A fit that did not identify its drive does not fail: what it found is judged by the checks.
+    A fit that did not identify its drive is not a failure: the checks judge its result.
 
     Args:
-        arguments: Its command line.
+        arguments: Command-line arguments.
 
     Raises:
-        CalledProcessError: It fails.
+        CalledProcessError: The run failed.
     """
     environment = {**os.environ, "PYTHONPATH": str(EXPERIMENTS.parent)}
     finished = subprocess.run([sys.executable, *shlex.split(PROGRAM)[1:], *arguments], env=environment)
@@ -64,9 +63,9 @@ def run(commands: list[str], output: Path, start: Callable[..., Any] = start) ->
     """Run the commands of an experiment.
 
     Args:
-        commands: As in `expected.yaml`.
-        output: Where runs go.
-        start: Does what `python -m frictionzoo.run` does with these arguments.
+        commands: Commands as in `expected.yaml`.
+        output: Folder for the runs.
+        start: Function that runs `python -m frictionzoo.run` with its arguments.
 
     Returns:
         The folder of each command's runs.
@@ -81,13 +80,13 @@ def run(commands: list[str], output: Path, start: Callable[..., Any] = start) ->
 
 
 def check(comparison: Comparison, checks: list[dict[str, Any]]) -> Iterator[str]:
-    """One line for each number that is not as expected.
+    """Yield one line for each number that is not as expected.
 
     Args:
-        comparison: Of the experiment's runs.
-        checks: `run` (may be left out where there is one), `path` in its entry, and `expected` with `relative`, or
-            `at_most`, which is a share of the same value of another run where that is named, `of`. Each is made in
-            every fold, or in `fold`.
+        comparison: Comparison of the experiment's runs.
+        checks: Each has `run` (optional for a single run), `path` in the run's entry, and either `expected` with
+            `relative`, or `at_most`. With `of`, the label of another run, the value is first divided by the value of
+            that run. A check applies to every fold, or to `fold`.
     """
     folds = list(dict.fromkeys(entry.get("fold") for entry in comparison["runs"]))
     for expected in checks:
@@ -102,11 +101,11 @@ def check(comparison: Comparison, checks: list[dict[str, Any]]) -> Iterator[str]
 
 
 def compare_with(value: Any, other: Any) -> Any:
-    """Values as shares of another run's; None where one of the two is.
+    """Return values as shares of another run's values; None where a value is None or the other value is 0 or None.
 
     Args:
-        value: A number, or a list of them.
-        other: Likewise.
+        value: A number or a list of numbers.
+        other: The other run's number or list.
     """
     if isinstance(value, list):
         return [compare_with(*pair) for pair in zip(value, other, strict=True)]
@@ -114,12 +113,12 @@ def compare_with(value: Any, other: Any) -> Any:
 
 
 def find_run(comparison: Comparison, label: str | None, fold: str | None = None) -> RunRow:
-    """The entry of a run.
+    """Return the entry of a run.
 
     Args:
-        comparison: Of the experiment's runs.
-        label: The run's; None for the only one.
-        fold: The fold's; None where there are none.
+        comparison: Comparison of the experiment's runs.
+        label: Label of the run; None for the only run.
+        fold: Label of the fold; None without folds.
     """
     found = [e for e in comparison["runs"] if label in (None, e["label"]) and e.get("fold") == fold]
     if len(found) != 1:
@@ -128,14 +127,14 @@ def find_run(comparison: Comparison, label: str | None, fold: str | None = None)
 
 
 def look_up(entry: Mapping[str, Any], path: str) -> Any:
-    """A value of a run's entry; `parameters.OWNER.NAME` is that parameter's value, or None where there is none.
+    """Return a value of a run's entry.
 
-    Of several joints, `parameters.OWNER.NAME.2` is that of the third. Where a key is `*`, the value is a list, of all
-    entries of one.
+    `parameters.OWNER.NAME` is a parameter's value, or None if the run lacks it. With several joints,
+    `parameters.OWNER.NAME.2` is the value of the third joint. The key `*` gives a list with a value per list entry.
 
     Args:
-        entry: Of `comparison.json`.
-        path: Keys, separated by dots; numbers count in lists.
+        entry: Entry of a run in `comparison.json`.
+        path: Keys separated by dots; numbers index lists.
     """
     if path.startswith("parameters."):
         _, owner, name, *joint = path.split(".")
@@ -150,11 +149,11 @@ def look_up(entry: Mapping[str, Any], path: str) -> Any:
 
 
 def agrees(value: float | None, expected: Mapping[str, float]) -> bool:
-    """Whether a value is what a check expects.
+    """Return whether a value meets a check.
 
     Args:
-        value: None is never what is expected.
-        expected: `at_most`, or `expected` with the `relative` difference that is allowed.
+        value: The value; None never meets a check.
+        expected: `at_most`, or `expected` with the allowed `relative` difference.
     """
     if value is None:
         return False
@@ -164,13 +163,13 @@ def agrees(value: float | None, expected: Mapping[str, float]) -> bool:
 
 
 def tabulate(comparison: Comparison, expected: Mapping[str, Any]) -> str:
-    """The experiment's table in Markdown, a row a run.
+    """Return the experiment's table in Markdown, one row per run.
 
     Args:
-        comparison: Of the experiment's runs.
-        expected: With `table`, a list of columns: `head`, and `values` (paths in a run's entry, multiplied by `scale`)
-            put into `format`, or one path with `*`, of which each value is; or `published`, the name of a mapping from
-            label to text.
+        comparison: Comparison of the experiment's runs.
+        expected: Its `table` is a list of columns with `head` and either `values` or `published`. `values` are paths in
+            a run's entry; their values, multiplied by `scale`, fill `format`. A single path with `*` fills `format`
+            once per value, without `scale`. `published` is the name of a mapping from label to text.
     """
     columns = expected["table"]
     rows = [[_cell(entry, column, expected) for column in columns] for entry in comparison["runs"]]
@@ -195,7 +194,7 @@ def write_table(name: str, table: str) -> None:
 
     Args:
         name: The experiment's folder.
-        table: In Markdown.
+        table: The table in Markdown.
     """
     page = EXPERIMENTS / name / "README.md"
     text, count = MARKS.subn(lambda found: f"{found[1]}{table}\n{found[2]}", page.read_text())
@@ -205,16 +204,16 @@ def write_table(name: str, table: str) -> None:
 
 
 def compare(expected: Mapping[str, Any], output: Path, small: bool, start: Callable[..., Any] = start) -> Comparison:
-    """Run an experiment and compare its runs; with folds, those of each fold, in the order of their labels.
+    """Run an experiment and compare its runs; with folds, compare within each fold and sort by label.
 
     Args:
-        expected: As in `expected.yaml`.
-        output: Where runs and comparisons go.
+        expected: Content of `expected.yaml`.
+        output: Folder for runs and comparisons.
         small: Write no comparison.
         start: As in `run`.
 
     Raises:
-        CalledProcessError: A run fails.
+        CalledProcessError: A run failed.
     """
     if "folds" in expected:
         entries = []
@@ -228,12 +227,12 @@ def compare(expected: Mapping[str, Any], output: Path, small: bool, start: Calla
 
 
 def reproduce(name: str, output: Path, small: bool) -> list[str]:
-    """Run an experiment and write its table; returns one line for each number that is not as expected.
+    """Run an experiment and write its table; return one line for each number that is not as expected.
 
     Args:
         name: The experiment's folder.
-        output: Where runs and comparison go.
-        small: Run its small variant, and leave the table.
+        output: Folder for runs and comparison.
+        small: Run the small variant and write no table.
     """
     expected = read_expected(name, small)
     try:
@@ -246,7 +245,7 @@ def reproduce(name: str, output: Path, small: bool) -> list[str]:
 
 
 def main() -> int:
-    """Entry point; the exit status is 1 where a number is not as expected."""
+    """Reproduce experiments; return 1 if a number is not as expected."""
     names = sorted(path.parent.name for path in EXPERIMENTS.glob("*/expected.yaml"))
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(names)}; all by default")

@@ -1,4 +1,4 @@
-"""What the caller brings to programs that read no actuator law of MuJoCo: torques, and the inertia of payloads."""
+"""Torques and payload inertia for programs that do not read MuJoCo's actuator parameters."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,9 +11,9 @@ from given import Given
 def make_torque(
     given: Given, module: Any, bench: mujoco.MjModel, rollout: int
 ) -> Callable[[int, np.ndarray, np.ndarray], np.ndarray]:
-    """Torques of the bench's actuators in a rollout, from the number of the step, positions and velocities.
+    """Return a function from step number, positions and velocities to the actuator torques in a rollout.
 
-    `module` is `drive.py`, which has the law's controller.
+    `module` is `drive.py`, which contains the actuator's controller.
     """
     law, gain, bias = module.Actuator(), bench.actuator_gainprm[:, 0], bench.actuator_biasprm.T
 
@@ -26,7 +26,7 @@ def make_torque(
 
 
 def find_matter(bench: mujoco.MjModel, body: int) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass, centre of mass and inertia about that of a body, in the frame of its link, which is that of its joint."""
+    """Return a body's mass, centre of mass and inertia about that centre, in the frame of its joint."""
     axes = np.empty(9)
     mujoco.mju_quat2Mat(axes, bench.body_iquat[body])
     axes = axes.reshape(3, 3)

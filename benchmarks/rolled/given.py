@@ -1,4 +1,4 @@
-"""What the scripts of this folder share. They run in a target's own environment: numpy, and no frictionzoo."""
+"""Input and output shared by the scripts of this folder, which run in target environments without frictionzoo."""
 
 import argparse
 import importlib.util
@@ -14,29 +14,30 @@ from typing import Any
 import numpy as np
 
 Signals = dict[str, np.ndarray]
-"""Commands (`ctrl`) and what else acts, by name, each of shape (batch, steps, nv)."""
+"""Commands (`ctrl`) and other input signals by name, each of shape (batch, steps, nv)."""
 
 
 @dataclass(frozen=True)
 class Given:
-    """Rollouts, and the files of the drive that is to move in them.
+    """Rollouts to simulate, with the exported files of the drive.
 
     Attributes:
-        folder: With the exported files, a folder a target.
-        out: NPZ file that is to be written.
-        joints: Their names.
-        timestep: Of the simulation [s].
-        substeps: Steps of the simulation in a sample.
-        qpos: Where rollouts begin, of shape (batch, nv) [rad or m].
-        qvel: Likewise [rad/s or m/s].
-        recorded: What was commanded in each step.
-        acting: The same, as late as the drive's delay makes it.
-        before: What was commanded before the first state, the newest last.
-        targets: Desired positions, as a position-controlled motor is given them, not late; empty for other drives.
-        targets_before: Likewise before the first state.
-        lags: Whole steps of the simulation by which the drive delays commands, one a joint.
-        load: Of the body with the payload in each rollout: mass, centre of mass, orientation, principal inertia.
-        body: Its index in the model.
+        folder: Folder of the exported files, one subfolder per target.
+        out: NPZ file to write.
+        joints: Joint names.
+        timestep: Simulation timestep [s].
+        substeps: Simulation steps per sample.
+        qpos: Initial positions, of shape (batch, nv) [rad or m].
+        qvel: Initial velocities, of shape (batch, nv) [rad/s or m/s].
+        recorded: Recorded signals in each simulation step.
+        acting: The same signals, delayed by the drive's delay.
+        before: Recorded signals before the initial state, the newest last.
+        targets: Desired positions of a position-controlled motor, not delayed; empty for other drives.
+        targets_before: The same before the initial state.
+        lags: Command delay in whole simulation steps, one per joint.
+        load: Mass, centre of mass, orientation and principal inertia of the body with the payload, one row per rollout;
+            rows are empty without a payload.
+        body: Index of that body in the model; -1 without a payload.
     """
 
     folder: Path
@@ -57,20 +58,20 @@ class Given:
 
     @property
     def steps(self) -> int:
-        """Of the simulation, in a rollout."""
+        """Return the number of simulation steps in a rollout."""
         return self.recorded["ctrl"].shape[1]
 
     def alike(self) -> Iterator[np.ndarray]:
-        """Numbers of the rollouts that one model serves: those with one payload."""
+        """Yield the indices of all rollouts with the same payload, which share one model."""
         rows = np.unique(self.load, axis=0, return_inverse=True)[1].reshape(-1)
         for payload in range(rows.max() + 1):
             yield np.flatnonzero(rows == payload)
 
     def bench(self, target: str, rollout: int, late: bool = True) -> str:
-        """MJCF of a target, with a rollout's payload in it; where commands are not `late` in it, its caller delays."""
+        """Return a target's MJCF with the payload of a rollout; unless `late`, without the delay of its actuators."""
         root = ElementTree.parse(self.folder / target / "bench.xml").getroot()
         if self.load.shape[1]:
-            body = list(root.iter("body"))[self.body - 1]  # MuJoCo numbers them as they stand, the world first
+            body = list(root.iter("body"))[self.body - 1]  # MuJoCo numbers bodies in file order, the world first
             for element in body.findall("inertial"):
                 body.remove(element)
             mass, centre, turned, inertia = np.split(self.load[rollout], (1, 4, 8))
@@ -83,11 +84,11 @@ class Given:
         return ElementTree.tostring(root, encoding="unicode")
 
     def sampled(self, qpos: np.ndarray) -> np.ndarray:
-        """Of positions after each step, on the second axis, those after each sample."""
+        """Select the positions after each sample from those after each simulation step, on the second axis."""
         return qpos[:, self.substeps - 1 :: self.substeps]
 
     def write(self, qpos: np.ndarray, *packages: str, **versions: str) -> None:
-        """Write positions after each sample, (batch, time, nv), and the packages and versions that simulated them."""
+        """Write positions after each sample, (batch, time, nv), with the simulating packages and their versions."""
         said = versions | {name: version(name) for name in packages}
         np.savez(self.out, qpos=qpos, program=", ".join(f"{name} {number}" for name, number in said.items()))
 
@@ -95,7 +96,7 @@ class Given:
 def read_given(
     description: str | None, add: Callable[[argparse.ArgumentParser], Any] = lambda parser: None
 ) -> tuple[Given, argparse.Namespace]:
-    """What a script of this folder was given, and its own options, which `add` adds."""
+    """Parse the command line; return the rollouts, and the options that `add` defines."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("given", type=Path, help="NPZ file of benchmarks/targets.py")
     parser.add_argument("folder", type=Path, help="with the exported files, a folder a target")
@@ -113,7 +114,7 @@ def read_given(
 
 
 def load_module(path: Path) -> ModuleType:
-    """An exported Python file."""
+    """Import an exported Python file."""
     spec = importlib.util.spec_from_file_location(f"exported_{path.stem}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

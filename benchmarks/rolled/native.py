@@ -1,4 +1,4 @@
-"""Programs in C++ of this folder: made where they run, and asked for numbers of 64 bits over pipes."""
+"""C++ programs of this folder: compiled where they run, exchanging 64-bit numbers over pipes."""
 
 import subprocess
 import sys
@@ -9,20 +9,20 @@ import numpy as np
 
 
 def compile_program(source: str, program: Path, flags: Sequence[str | Path]) -> None:
-    """Make a program of a file of this folder, with these flags of g++."""
+    """Compile a source file of this folder with g++ and these flags."""
     command = ["g++", "-std=c++20", Path(__file__).parent / source, "-o", program, *flags]
     subprocess.run(command, check=True)
 
 
 class Running:
-    """A program that was started. Where it ends before it is through, so does this process, with what it said.
+    """Running program. If it ends early, this process exits with its status.
 
     Attributes:
-        version: The line that it writes first.
+        version: First line of its output.
     """
 
     def __init__(self, command: Sequence[str | Path]) -> None:
-        """Start it."""
+        """Start the program."""
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self._process.stdin is not None and self._process.stdout is not None
         self._told, self._said = self._process.stdin, self._process.stdout
@@ -31,12 +31,12 @@ class Running:
             sys.exit(self._process.wait() or 1)
 
     def tell(self, numbers: np.ndarray) -> None:
-        """Write numbers to it."""
+        """Send numbers to the program."""
         self._told.write(numbers.astype(float).tobytes())
         self._told.flush()
 
     def ask(self, numbers: np.ndarray, *shape: int) -> np.ndarray:
-        """Its answer to numbers, of this shape."""
+        """Send numbers and return the answer, of this shape."""
         self.tell(numbers)
         size = 8 * int(np.prod(shape))
         said = self._said.read(size)

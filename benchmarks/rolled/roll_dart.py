@@ -1,7 +1,7 @@
-"""Rollouts of the bench's URDF in DART, Gazebo's default engine, by whole steps; commands come as late as they act.
+"""Rollouts of the bench's URDF in DART, Gazebo's default engine, in whole simulation steps with delayed commands.
 
-DART reads links, damping and dry friction from it, and no SDF as new as bench.sdf. It reads no actuator law of MuJoCo:
-the caller gives the torque. It has no armature: with `--rotors` the caller adds that to the links.
+DART reads links, damping and dry friction from the URDF; it does not read SDF of the version of bench.sdf. It has no
+MuJoCo actuators: the caller computes the torque. It has no armature: with `--rotors` the caller adds it to the links.
 """
 
 import argparse
@@ -14,7 +14,7 @@ import numpy as np
 from caller import find_matter, make_torque
 from given import Given, load_module, read_given
 
-ROTOR = "{http://drake.mit.edu}rotor_inertia"  # at gear ratio 1, one a joint, in their order
+ROTOR = "{http://drake.mit.edu}rotor_inertia"  # at gear ratio 1, one per joint, in joint order
 
 
 def main() -> None:
@@ -41,17 +41,17 @@ def main() -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What DART reads, and what it does not."""
+    """Add the option for what DART does not read."""
     parser.add_argument("--rotors", action="store_true", help="the caller adds the file's rotors to the links")
 
 
 def roll(given: Given, module: Any, bench: mujoco.MjModel, world: dartpy.simulation.World, rollout: int) -> np.ndarray:
-    """Positions after each step of this rollout."""
+    """Return the positions after each simulation step of this rollout."""
     skeleton, torque, found = world.getSkeleton(0), make_torque(given, module, bench, rollout), []
     at = [skeleton.getJoint(name).getIndexInSkeleton(0) for name in given.joints]
     order = np.argsort(at)
     world.reset()
-    skeleton.setPositions((given.qpos[rollout] - bench.qpos0)[order])  # DART's 0 is where the links are drawn
+    skeleton.setPositions((given.qpos[rollout] - bench.qpos0)[order])  # DART's zero is the pose in the file
     skeleton.setVelocities(given.qvel[rollout][order])
     for number in range(given.steps):
         qpos, qvel = skeleton.getPositions()[at] + bench.qpos0, skeleton.getVelocities()[at]
@@ -62,15 +62,15 @@ def roll(given: Given, module: Any, bench: mujoco.MjModel, world: dartpy.simulat
 
 
 def put_payload(bench: mujoco.MjModel, skeleton: dartpy.dynamics.Skeleton, body: int) -> None:
-    """Give a link the inertia that its body has in MuJoCo."""
+    """Set a link's inertia to the inertia of its body in MuJoCo."""
     matter = dartpy.dynamics.Inertia(*find_matter(bench, body))
     skeleton.getBodyNode(bench.body(body).name).setInertia(matter)
 
 
 def add_rotor(joint: Any, inertia: float) -> None:
-    """Let a link be as hard to move along its joint's axis as with this rotor.
+    """Add a rotor's inertia about its joint's axis to the link.
 
-    Exact where the world holds the link. Elsewhere the rotor turns with the link's parents, too, as no armature does.
+    Exact for links attached to the world. Otherwise the rotor also turns with the link's parents, unlike armature.
     """
     link, along = joint.getChildBodyNode(), joint.getRelativeJacobian()
     link.setInertia(dartpy.dynamics.Inertia(link.getInertia().getSpatialTensor() + inertia * along @ along.T))

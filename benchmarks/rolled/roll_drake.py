@@ -1,6 +1,6 @@
-"""Rollouts of the bench's URDF or SDF in Drake, by whole steps of its plant; commands come as late as they act.
+"""Rollouts of the bench's URDF or SDF in Drake, in whole steps of its discrete plant with delayed commands.
 
-Drake reads no actuator law of MuJoCo and no dry friction: the caller gives the torque, and with `--dry` that friction.
+Drake reads neither MuJoCo's actuators nor dry friction: the caller computes the torque, and with `--dry` the friction.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RotationalInertia, SpatialInertia
 
-SWEEPS = 100  # over a robot's joints, at most; they end where nothing changes
+SWEEPS = 100  # maximum, over all joints; they end at convergence
 
 
 def main() -> None:
@@ -38,13 +38,13 @@ def main() -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What Drake reads, and what it does not."""
+    """Add the options for the file and for what Drake does not read."""
     parser.add_argument("--target", choices=("urdf", "sdf"), required=True)
     parser.add_argument("--dry", action="store_true", help="the caller brings the file's dry friction")
 
 
 def roll(given: Given, module: Any, bench: mujoco.MjModel, plant: MultibodyPlant, rollout: int) -> np.ndarray:
-    """Positions after each step of this rollout."""
+    """Return the positions after each simulation step of this rollout."""
     context, torque, found = plant.CreateDefaultContext(), make_torque(given, module, bench, rollout), []
     if given.load.shape[1]:
         put_payload(bench, plant, context, given.body)
@@ -59,7 +59,7 @@ def roll(given: Given, module: Any, bench: mujoco.MjModel, plant: MultibodyPlant
     def order(values: np.ndarray) -> np.ndarray:
         return values[np.argsort(at)]
 
-    qpos, qvel = given.qpos[rollout] - bench.qpos0, given.qvel[rollout]  # Drake's 0 is where the links are drawn
+    qpos, qvel = given.qpos[rollout] - bench.qpos0, given.qvel[rollout]  # Drake's zero is the pose in the file
     for number in range(given.steps):
         driven = torque(number, qpos + bench.qpos0, qvel)
         plant.SetPositionsAndVelocities(context, np.concatenate([order(qpos), order(qvel)]))
@@ -73,12 +73,12 @@ def roll(given: Given, module: Any, bench: mujoco.MjModel, plant: MultibodyPlant
 
 
 def stop(qvel: np.ndarray, response: np.ndarray, loss: np.ndarray) -> np.ndarray:
-    """Dry friction that stops the joints within a step, at most `loss` each.
+    """Return the dry friction that stops the joints within a step, limited to `loss` in each.
 
     Args:
-        qvel: Velocities after the step without it.
-        response: What a torque in each joint adds to each velocity in the step.
-        loss: Its limit in each joint.
+        qvel: Velocities after the step without dry friction.
+        response: Change of each velocity in the step per unit of torque in each joint.
+        loss: Limit of the friction in each joint.
     """
     friction = np.zeros(len(qvel))
     for _ in range(SWEEPS):
@@ -92,7 +92,7 @@ def stop(qvel: np.ndarray, response: np.ndarray, loss: np.ndarray) -> np.ndarray
 
 
 def put_payload(bench: mujoco.MjModel, plant: MultibodyPlant, context: Any, body: int) -> None:
-    """Give a link the inertia that its body has in MuJoCo."""
+    """Set a link's inertia to the inertia of its body in MuJoCo."""
     mass, centre, inertia = find_matter(bench, body)
     entries = (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2])
     matter = SpatialInertia.MakeFromCentralInertia(mass, centre, RotationalInertia(*entries))

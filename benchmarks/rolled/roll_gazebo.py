@@ -1,7 +1,7 @@
-"""Rollouts of the bench's SDF in Gazebo's physics, by whole steps; commands come as late as they act.
+"""Rollouts of the bench's SDF in Gazebo's physics, in whole simulation steps with delayed commands.
 
-Debian's packages bring it, with DART in it. Like DART it has no actuator law of MuJoCo, whose torque the caller gives,
-and no armature.
+Debian packages provide it, with DART as its engine. Like DART it has no MuJoCo actuators, so the caller computes the
+torque, and no armature.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from caller import find_matter, make_torque
 from given import Given, load_module, read_given
 from native import Running, compile_program
 
-LIBRARIES = ("ignition-physics5-sdf", "ignition-plugin1-loader")  # as pkg-config knows them
+LIBRARIES = ("ignition-physics5-sdf", "ignition-plugin1-loader")  # names for pkg-config
 PLUGIN = Path("ign-physics-5", "engine-plugins", "libignition-physics5-dartsim-plugin.so.5")
 DEBIAN = "g++ pkg-config libeigen3-dev libignition-physics-sdf-dev libignition-physics5-dartsim-plugin5"
 
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def find_gazebo() -> tuple[list[str], Path]:
-    """Flags of g++, and the plugin; without them this process ends."""
+    """Return the flags for g++ and the path of the plugin; exit if they are missing."""
     try:
         flags, folder = (
             subprocess.run(["pkg-config", *asked], check=True, capture_output=True, text=True).stdout
@@ -56,12 +56,12 @@ def find_gazebo() -> tuple[list[str], Path]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which of the exported files it reads."""
+    """Add the option for the exported file to read."""
     parser.add_argument("--target", default="sdf", help="folder of the file")
 
 
 def write_sdf(given: Given, bench: mujoco.MjModel, target: str) -> str:
-    """The file, with a payload's inertia in its link, of which there is one for each body of MuJoCo but the world."""
+    """Return the SDF with the payload's inertia in its link. Each body except MuJoCo's world has one link."""
     text = (given.folder / target / "bench.sdf").read_text()
     if not given.load.shape[1]:
         return text
@@ -79,9 +79,9 @@ def write_sdf(given: Given, bench: mujoco.MjModel, target: str) -> str:
 
 
 def roll(given: Given, module: Any, bench: mujoco.MjModel, gazebo: Running, rollout: int) -> np.ndarray:
-    """Positions after each step of this rollout."""
+    """Return the positions after each simulation step of this rollout."""
     torque, found = make_torque(given, module, bench, rollout), []
-    qpos, qvel = given.qpos[rollout] - bench.qpos0, given.qvel[rollout]  # Gazebo's 0 is where the links are drawn
+    qpos, qvel = given.qpos[rollout] - bench.qpos0, given.qvel[rollout]  # Gazebo's zero is the pose in the file
     gazebo.tell(np.stack([qpos, qvel]))
     for number in range(given.steps):
         qpos, qvel = gazebo.ask(torque(number, qpos + bench.qpos0, qvel), 2, len(given.joints))

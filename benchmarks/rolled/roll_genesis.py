@@ -1,4 +1,4 @@
-"""Rollouts of the bench's MJCF in Genesis, on the CPU in 64 bits; commands come as late as they act."""
+"""Rollouts of the bench's MJCF in Genesis, on the CPU in 64 bits, with delayed commands."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from given import Given, load_module, read_given
 
 
 def main() -> None:
-    """Simulate all rollouts with one payload at once, an environment each."""
+    """Simulate the rollouts of each payload together, one environment per rollout."""
     given, _ = read_given(__doc__)
     module: Any = load_module(given.folder / "mujoco" / "drive.py")
     genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
@@ -20,7 +20,7 @@ def main() -> None:
 
 
 def roll(given: Given, module: Any, text: str, rollouts: np.ndarray) -> np.ndarray:
-    """Positions after each step of these rollouts; the caller gives the torque of the file's actuators."""
+    """Return the positions after each simulation step; this function computes the torque of the file's actuators."""
     bench, law = mujoco.MjModel.from_xml_string(text), module.Actuator()
     file = given.out.with_suffix(".xml")
     file.write_text(text)

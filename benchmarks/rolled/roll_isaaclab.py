@@ -1,11 +1,11 @@
-"""Rollouts with Isaac Lab's actuators, on the CPU in 32 bits, and MuJoCo C in place of PhysX, which is not run.
+"""Rollouts with Isaac Lab's actuators on the CPU in 32 bits; MuJoCo C replaces PhysX, which is not run.
 
-Isaac Lab's own classes, made from the exported file, compute the torque in each step. MuJoCo has the bench's links, and
-of the file the armature, `dynamic_friction` and `viscous_friction`; `friction`, which holds a joint at rest, has no
-place there.
+Isaac Lab's actuator classes, configured by the exported file, compute the torque in each step. MuJoCo simulates the
+bench's links with the file's armature, `dynamic_friction` and `viscous_friction`. It has no counterpart of `friction`,
+which holds a joint at rest.
 
-`isaaclab.utils.assets` asks Isaac Sim for a server of files as it is imported. An empty module stands for it; networks
-among the actuators would read their files by it, and nothing here calls it.
+`isaaclab.utils.assets` requests a file server from Isaac Sim on import. An empty module replaces it; only network
+actuators would call it, and nothing here does.
 """
 
 import sys
@@ -20,7 +20,7 @@ from given import Given, load_module, read_given
 
 
 def main() -> None:
-    """Simulate all rollouts with one payload at once, an environment of the actuators each."""
+    """Simulate the rollouts of each payload together, one actuator environment per rollout."""
     given, _ = read_given(__doc__)
     find_isaaclab()
     configs = load_module(given.folder / "isaaclab" / "isaaclab_actuators.py").ACTUATORS
@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def find_isaaclab() -> None:
-    """Let `isaaclab` be the package within the installed one, which itself would start Isaac Sim."""
+    """Make `isaaclab` the inner package of the installed one; the outer one would start Isaac Sim."""
     sys.path.insert(0, str(distribution("isaaclab").locate_file("isaaclab/source/isaaclab")))
     assets: Any = ModuleType("isaaclab.utils.assets")
     assets.read_file = None
@@ -39,7 +39,7 @@ def find_isaaclab() -> None:
 
 
 def roll(given: Given, configs: dict[str, Any], rollouts: np.ndarray) -> np.ndarray:
-    """Positions after each step of these rollouts."""
+    """Return the positions after each simulation step of these rollouts."""
     actuators = [make_actuator(config.copy(), given.joints, len(rollouts)) for config in configs.values()]
     model = compile_joints(given, actuators, rollouts[0])
     worlds = [mujoco.MjData(model) for _ in rollouts]
@@ -54,7 +54,7 @@ def roll(given: Given, configs: dict[str, Any], rollouts: np.ndarray) -> np.ndar
             joints = actuator.joint_indices.numpy()
             late = np.maximum(number - find_lags(given, actuator), 0)
             efforts[:, joints] = compute(actuator, targets[:, late, joints], qpos[:, joints], qvel[:, joints])
-        if number < begin:  # this filled the buffers of late commands
+        if number < begin:  # these steps only fill the delay buffers
             continue
         for data, effort in zip(worlds, efforts, strict=True):
             data.qfrc_applied[:] = effort
@@ -64,7 +64,7 @@ def roll(given: Given, configs: dict[str, Any], rollouts: np.ndarray) -> np.ndar
 
 
 def make_actuator(config: Any, joints: list[str], count: int) -> Any:
-    """The actuator of a configuration, as Isaac Lab's articulation makes it of a robot without limits of its own."""
+    """Return the actuator that Isaac Lab's articulation makes from a configuration for a robot without limits."""
     from isaaclab.utils.string import resolve_matching_names
 
     numbers, names = resolve_matching_names(config.joint_names_expr, joints)
@@ -75,11 +75,11 @@ def make_actuator(config: Any, joints: list[str], count: int) -> Any:
 
 
 def compile_joints(given: Given, actuators: list[Any], rollout: int) -> mujoco.MjModel:
-    """The bench with the actuators' joints, and without its own motors."""
+    """Compile the bench with the actuators' joint parameters and without its motors."""
     model = mujoco.MjModel.from_xml_string(given.bench("mjcf", rollout, late=False))
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     for values in (model.dof_armature, model.dof_frictionloss, model.dof_damping):
-        values[:] = np.nan  # every joint is some actuator's
+        values[:] = np.nan  # each joint gets its actuator's values below
     for actuator in actuators:
         joints = actuator.joint_indices.numpy()
         model.dof_armature[joints] = actuator.armature[0]
@@ -89,13 +89,13 @@ def compile_joints(given: Given, actuators: list[Any], rollout: int) -> mujoco.M
 
 
 def find_lags(given: Given, actuator: Any) -> np.ndarray:
-    """Steps by which the caller gives late what an actuator takes at once."""
+    """Return the steps by which the caller delays commands; 0 if the actuator delays them itself."""
     lags = np.array(given.lags)[actuator.joint_indices.numpy()]
     return 0 * lags if hasattr(actuator, "positions_delay_buffer") else lags
 
 
 def compute(actuator: Any, targets: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """Torque of an actuator, within the limit that it sets for the simulated joint."""
+    """Return an actuator's torque, clipped to its limit for the simulated joint."""
     from isaaclab.utils.types import ArticulationActions
 
     none = torch.zeros(targets.shape)
@@ -105,7 +105,7 @@ def compute(actuator: Any, targets: np.ndarray, qpos: np.ndarray, qvel: np.ndarr
 
 
 def as_tensor(values: np.ndarray) -> torch.Tensor:
-    """In Isaac Lab's 32 bits."""
+    """Convert to Isaac Lab's 32 bits."""
     return torch.tensor(values, dtype=torch.float32)
 
 

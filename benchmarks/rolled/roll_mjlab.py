@@ -1,4 +1,4 @@
-"""Rollouts in mjlab, on the CPU in 32 bits: the bench's joints with the exported actuators, which delay commands."""
+"""Rollouts in mjlab on the CPU in 32 bits: the bench's joints with the exported actuators, which delay commands."""
 
 import xml.etree.ElementTree as ElementTree
 from typing import Any
@@ -13,7 +13,7 @@ from mjlab.sim import MujocoCfg, Simulation, SimulationCfg
 
 
 def main() -> None:
-    """Simulate all rollouts with one payload at once, a world each."""
+    """Simulate the rollouts of each payload together, one world per rollout."""
     given, _ = read_given(__doc__)
     actuators = load_module(given.folder / "mjlab" / "mjlab_actuators.py").ACTUATORS
     found = np.empty((len(given.qpos), given.steps, len(given.joints)))
@@ -23,7 +23,7 @@ def main() -> None:
 
 
 def strip(text: str) -> str:
-    """The bench without what the actuators' file brings."""
+    """Return the bench without the parts that the actuators' file provides."""
     root = ElementTree.fromstring(text)
     for section in root.findall("actuator"):
         root.remove(section)
@@ -34,7 +34,7 @@ def strip(text: str) -> str:
 
 
 def roll(given: Given, actuators: Any, text: str, rollouts: np.ndarray) -> np.ndarray:
-    """Positions after each step of these rollouts."""
+    """Return the positions after each simulation step of these rollouts."""
     option = mujoco.MjModel.from_xml_string(text).opt
     robot = EntityCfg(
         spec_fn=lambda: mujoco.MjSpec.from_string(text), articulation=EntityArticulationInfoCfg(actuators=actuators)
@@ -58,7 +58,7 @@ def roll(given: Given, actuators: Any, text: str, rollouts: np.ndarray) -> np.nd
 
     entity.write_joint_state_to_sim(as_tensor(given.qpos[rollouts]), as_tensor(given.qvel[rollouts]), joint_ids=joints)
     for number in range(given.targets_before.shape[1]):
-        aim(given.targets_before[rollouts, number])  # fills the buffers of late commands
+        aim(given.targets_before[rollouts, number])  # fills the delay buffers
     found = []
     for number in range(given.steps):
         aim(given.targets[rollouts, number])
@@ -69,7 +69,7 @@ def roll(given: Given, actuators: Any, text: str, rollouts: np.ndarray) -> np.nd
 
 
 def as_tensor(values: np.ndarray) -> torch.Tensor:
-    """In mjlab's 32 bits."""
+    """Convert to mjlab's 32 bits."""
     return torch.tensor(values, dtype=torch.float32)
 
 

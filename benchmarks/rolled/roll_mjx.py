@@ -1,4 +1,4 @@
-"""Rollouts in MJX, by the exported module's `step` in 64 bits."""
+"""Rollouts in MJX with the exported module's `step`, in 64 bits."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def make_rollout(module: Any, given: Given) -> Any:
-    """A rollout as one function of JAX; commands come as late as they act."""
+    """Return a rollout as one JAX function; its commands are already delayed."""
     remembers = hasattr(module, "reset")
 
     def rollout(model: mjx.Model, data: mjx.Data, acting: dict[str, jax.Array]) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Rollouts in MuJoCo C: of the bench's MJCF, or of `drive.py`, whose law may be the ONNX or the TorchScript file."""
+"""Rollouts in MuJoCo C of the bench's MJCF or of `drive.py`, optionally with the ONNX or TorchScript model."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from native import Running, compile_program
 
 Step = Callable[[mujoco.MjData, int], None]
 Evaluate = Callable[[Sequence[np.ndarray]], Sequence[np.ndarray]]
-"""From the law's inputs to its outputs, each of one number a joint."""
+"""Function from the friction model's inputs to its outputs, each with one number per joint."""
 
 
 def main() -> None:
@@ -33,12 +33,12 @@ def main() -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What moves the bench."""
+    """Add the option for what moves the bench."""
     parser.add_argument("--kind", choices=("bench", "drive", *LAWS), required=True)
 
 
 def roll(given: Given, target: str, prepare: Callable[..., Step]) -> np.ndarray:
-    """Positions after each sample, (batch, time, nv)."""
+    """Return the positions after each sample, (batch, time, nv)."""
     found = []
     for rollout in range(len(given.qpos)):
         model = mujoco.MjModel.from_xml_string(given.bench(target, rollout))
@@ -53,7 +53,7 @@ def roll(given: Given, target: str, prepare: Callable[..., Step]) -> np.ndarray:
 
 
 def prepare_bench(given: Given, model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> Step:
-    """The MJCF as it is; the caller computes the controller of laws that have one, as `drive.py` says it."""
+    """Return the step of the unchanged MJCF; the caller computes the controller, if any, as in `drive.py`."""
     module: Any = load_module(given.folder / "mujoco" / "drive.py")
     law = module.Actuator()
     for actuator in range(model.nu):
@@ -73,7 +73,7 @@ def prepare_bench(given: Given, model: mujoco.MjModel, data: mujoco.MjData, roll
 
 
 def make_drive(module: Any) -> Callable[..., Step]:
-    """The module, which brings friction, controller and delay."""
+    """Return a function that prepares the module's step, with its friction, controller and delay."""
 
     def prepare(given: Given, model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> Step:
         drive = module.Drive(model)
@@ -90,7 +90,7 @@ def make_drive(module: Any) -> Callable[..., Step]:
 
 
 def use_law(module: Any, evaluate: Evaluate) -> None:
-    """Let the module ask this for friction instead of its own formula."""
+    """Replace the module's friction formula with `evaluate`."""
 
     def terms(self: Any, xp: Any, values: Any, state: Any) -> Any:
         return module.FrictionTerms(*evaluate([np.asarray(signal, float) for signal in state]))
@@ -99,7 +99,7 @@ def use_law(module: Any, evaluate: Evaluate) -> None:
 
 
 def load_onnx(given: Given) -> tuple[Evaluate, dict[str, str]]:
-    """The law in ONNX Runtime, with the version of that."""
+    """Load the friction model in ONNX Runtime; return it with the runtime's version."""
     import onnxruntime
 
     content = (given.folder / "onnx" / "friction.onnx").read_bytes()
@@ -114,7 +114,7 @@ def load_onnx(given: Given) -> tuple[Evaluate, dict[str, str]]:
 
 
 def load_torchscript(given: Given) -> tuple[Evaluate, dict[str, str]]:
-    """The law in `torch.jit`, with the version of that."""
+    """Load the friction model in `torch.jit`; return it with the version of torch."""
     import torch
 
     law = torch.jit.load(given.folder / "torchscript" / "friction.pt")
@@ -126,7 +126,7 @@ def load_torchscript(given: Given) -> tuple[Evaluate, dict[str, str]]:
 
 
 def load_libtorch(given: Given) -> tuple[Evaluate, dict[str, str]]:
-    """The law in a C++ program, made with the libtorch that PyTorch brings, and the version that this says."""
+    """Start the friction model in a C++ program built with PyTorch's libtorch; return it with the reported version."""
     program, joints = given.out.with_suffix(".law"), len(given.joints)
     compile_law(program)
     law = Running([program, given.folder / "torchscript" / "friction.pt", str(joints)])
@@ -138,7 +138,7 @@ def load_libtorch(given: Given) -> tuple[Evaluate, dict[str, str]]:
 
 
 def compile_law(program: Path) -> None:
-    """Make a program of `law.cpp`."""
+    """Compile `law.cpp`."""
     found = find_spec("torch")
     assert found is not None and found.origin is not None
     torch = Path(found.origin).parent
@@ -148,7 +148,7 @@ def compile_law(program: Path) -> None:
 
 
 LAWS = {"onnx": load_onnx, "torchscript": load_torchscript, "libtorch": load_libtorch}
-"""What evaluates an exported law."""
+"""Loader of each kind of exported friction model."""
 
 
 if __name__ == "__main__":

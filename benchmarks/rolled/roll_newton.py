@@ -1,4 +1,4 @@
-"""Rollouts of the bench's MJCF in Newton's MuJoCo solver, on the CPU; commands come as late as they act."""
+"""Rollouts of the bench's MJCF in Newton's MuJoCo solver on the CPU, with delayed commands."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from given import Given, load_module, read_given
 
 
 def main() -> None:
-    """Simulate all rollouts with one payload at once, a world each."""
+    """Simulate the rollouts of each payload together, one world per rollout."""
     given, _ = read_given(__doc__)
     module: Any = load_module(given.folder / "mujoco" / "drive.py")
     found = np.empty((len(given.qpos), given.steps, len(given.joints)))
@@ -20,7 +20,7 @@ def main() -> None:
 
 
 def roll(given: Given, module: Any, rollouts: np.ndarray) -> np.ndarray:
-    """Positions after each step of these rollouts."""
+    """Return the positions after each simulation step of these rollouts."""
     bench, builder, law = newton.ModelBuilder(), newton.ModelBuilder(), module.Actuator()
     newton.solvers.SolverMuJoCo.register_custom_attributes(bench)
     bench.add_mjcf(given.bench("mjcf", rollouts[0], late=False), ctrl_direct=True)

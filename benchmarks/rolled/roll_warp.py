@@ -1,4 +1,4 @@
-"""Rollouts of the bench's MJCF in MuJoCo Warp, on the CPU, which is in 32 bits; commands come as late as they act."""
+"""Rollouts of the bench's MJCF in MuJoCo Warp on the CPU, in 32 bits, with delayed commands."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from given import Given, load_module, read_given
 
 
 def main() -> None:
-    """Simulate all rollouts with one payload at once, a world each."""
+    """Simulate the rollouts of each payload together, one world per rollout."""
     given, _ = read_given(__doc__)
     module: Any = load_module(given.folder / "mujoco" / "drive.py")
     found = np.empty((len(given.qpos), given.steps, len(given.joints)))
@@ -22,7 +22,7 @@ def main() -> None:
 
 
 def roll(given: Given, module: Any, model: mujoco.MjModel, rollouts: np.ndarray) -> np.ndarray:
-    """Positions after each step of these rollouts."""
+    """Return the positions after each simulation step of these rollouts."""
     data, law = mujoco.MjData(model), module.Actuator()
     mujoco.mj_forward(model, data)
     on_device = mujoco_warp.put_model(model)

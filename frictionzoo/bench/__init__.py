@@ -1,4 +1,4 @@
-"""Benches: the MJCF around a drive, and the actuator laws that turn commands into torque."""
+"""Benches: the MJCF around a drive, and the actuator laws that convert commands into torque."""
 
 from frictionzoo.bench.actuators.base import REGISTRY, Actuator, Affine, register_actuator
 from frictionzoo.bench.base import Bench
@@ -8,5 +8,5 @@ __all__ = ["Actuator", "Affine", "Bench", "Robot", "register_actuator"]
 
 
 def __getattr__(name: str) -> type[Actuator]:
-    """An actuator law by the name of its class, as `_target_` has it; its own module has its type."""
+    """Return an actuator law by its class name, as written in `_target_`."""
     return REGISTRY.find_class(name)

@@ -1,4 +1,4 @@
-"""A bench: the MJCF around the drive, the joints that are identified, and the actuator that drives them."""
+"""Bench: the MJCF around the drive, the identified joints and their actuator."""
 
 import copy
 import re
@@ -27,82 +27,81 @@ from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
-_ENDLESS = 0.1 * LARGEST  # N m or N, beyond which both ends of a torque stand for none
-_MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
-_MOST_HISTORY = 10_000  # samples by which commands may act late
+_ENDLESS = 0.1 * LARGEST  # N m or N; a torque range beyond it at both ends counts as unlimited
+_MOST_SUBSTEPS = 10_000  # simulation steps per sample
+_MOST_HISTORY = 10_000  # longest delay of commands in samples
 DEFAULT_SOLREFFRICTION = (0.02, 1.0)
-"""MuJoCo's own: the time constant [s] and the damping ratio of the friction constraint."""
+"""MuJoCo's default time constant [s] and damping ratio of the friction constraint."""
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position", "torque_offset": "torque"}
-_IN_ROLLOUTS = ("delay", "position_offset")  # which a compiled model leaves to them
+_IN_ROLLOUTS = ("delay", "position_offset")  # applied by rollouts instead of the compiled model
 _OPTIONAL = (*_IN_ROLLOUTS, "torque_offset")
-_OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # a sensor's or a cable's offset, a gear's phase
+_OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # offset of a sensor or cable, phase of a gear
 DEFAULTS: dict[str, dict[str, Any]] = {
     "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True},
     "delay": {"init": 0.0, "low": 0.0, "high": 0.1, "scale": 0.01, "identify": False},
     "position_offset": {"init": 0.0, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": False},
     "torque_offset": {"init": 0.0, "low": -20.0, "high": 20.0, "scale": 1.0, "identify": False},
 }
-"""What a bench's parameter is where nothing else is said: the armature of a servo's joint [kg m^2], no delay [s], an
-encoder whose zero is right [rad or m], and no constant torque [N m or N]."""
-_HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
+"""Default sections of a bench's parameters: armature of a servo joint [kg m^2], no delay [s], no encoder offset
+[rad or m], no constant torque [N m or N]."""
+_HEAVIER = 100.0  # factor between the fitted armature and either bound in a restarted bench
 
 
 class Bench(Described):
-    """The simulated test stand of one drive.
+    """Simulated test stand of one drive.
 
-    The MJCF is a template without friction, armature or actuator at the identified joints; `mjcf` writes these in. The
-    model that is fitted and the model that is exported are therefore one text with different numbers.
+    The MJCF is a template without friction, armature or actuator at the identified joints; `mjcf` adds these. The
+    fitted and the exported MJCF therefore differ in numbers only.
 
     Attributes:
-        armature_high: Upper bound of the armature where none is stated [kg m^2 or kg].
+        armature_high: Default upper bound of the armature [kg m^2 or kg].
         joints: Names of the identified joints, in MuJoCo's order.
         joint_type: `hinge` or `slide`.
-        params: The armature, the delay and the offsets where there are any, and the actuator's parameters.
+        params: The armature, the delay and offsets if any, and the actuator's parameters.
         timestep: Simulation step [s].
-        solreffriction: As the argument, without `auto`.
-        second_order: Likewise.
-        integrator: Name of MuJoCo's.
-        own_damping: The template's own damping of each joint [N m s/rad or N s/m].
+        solreffriction: The argument, or MuJoCo's default instead of None and `auto`.
+        second_order: The argument, or false instead of None and `auto`.
+        integrator: Name of MuJoCo's integrator.
+        own_damping: Damping of each joint in the template [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
-        inertia: Ten parameters of each body whose inertia is not the template's, by name.
-        gravity: Where it is not the template's [m/s^2]; None where it is.
-        notes: What a robot's file has and the bench has not, a line each.
-        unlimited: Limits of the joints' positions that a robot's file has and the bench has not [rad or m], of shape
-            (nv, 2); NaN where there are none.
-        observed: What the friction law looks at besides the state, a name among `Log.extras` each, and what it is where
-            recordings lack it; see `observing`.
+        inertia: Ten parameters by name of each body whose inertia replaces the template's.
+        gravity: Gravity that replaces the template's [m/s^2], or None.
+        notes: Features of a robot's file that the bench lacks, one line each.
+        unlimited: Position limits of a robot's file that the bench lacks [rad or m], of shape (nv, 2); NaN without a
+            limit.
+        observed: Inputs of the friction model in addition to the state: names in `Log.extras`, each with its value for
+            recordings without it; see `observing`.
 
     Args:
-        mjcf: Path of the template, or the name of one that the package ships (`knee_rod.xml`, `emps.xml`).
-        joint: Name or names of the identified joints; None where the template has one joint only.
-        actuator: The law that turns a command into torque.
-        params: Sections of `armature`, and where wanted of `delay`, by which commands act late [s], of
-            `position_offset`, which the measured position lacks [rad or m], and of `torque_offset`, a constant torque
-            besides the actuator's, of a cable or of a link that is heavier than the model's [N m or N]; a number stands
-            for a known value. What a section does not say is that of `DEFAULTS`. Known to be 0, these three are left
-            out. Values, bounds and whether they are identified may be lists, one entry a joint, or go by patterns of
-            joints' names.
-        solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
-            (0.02, 1), with which dry friction is viscous at low speed; a shorter time constant makes sticking stiffer.
-            None is the default, `auto` likewise until a recipe has chosen.
-        second_order: Whether rollouts are of second order in the simulation step, so that the parameters are those of
-            the drive in continuous time; else they move as MuJoCo does in steps of this length. Dry friction is then
-            Coulomb's, which holds without creep, where `solreffriction` is as stiff as MuJoCo's steps allow, two of
-            them. None is false, `auto` likewise until a recipe has chosen.
+        mjcf: Path of the template, or the name of a template in the package (`knee_rod.xml`, `emps.xml`).
+        joint: Name or names of the identified joints; None for a template with a single joint.
+        actuator: Actuator law, which converts a command into torque.
+        params: Sections of `armature` and of three optional parameters: `delay` of the commands [s], `position_offset`
+            to add to the measured position [rad or m], and `torque_offset`, a constant torque in addition to the
+            actuator's, for example of a cable or of a link heavier than in the template [N m or N]. A number is a known
+            value. `DEFAULTS` completes the sections. An optional parameter known to be 0 is dropped. Values, bounds and
+            `identify` may be lists with one entry per joint, or mappings from patterns of joint names.
+        solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. With MuJoCo's default,
+            (0.02, 1), dry friction is viscous at low speed; a shorter time constant makes sticking stiffer. None is
+            MuJoCo's default; so is `auto` until a recipe chooses the value.
+        second_order: Whether rollouts are of second order in the simulation step. The parameters are then those of the
+            drive in continuous time; otherwise rollouts match MuJoCo at this step. In second-order rollouts dry
+            friction is Coulomb friction without creep if `solreffriction` is as stiff as MuJoCo allows, a time constant
+            of two steps. None is false; so is `auto` until a recipe chooses the value.
         integrator: `Euler` or `implicitfast`; None for the template's.
-        payload: Name of the body that carries the payloads of recordings; None for recordings without.
-        timestep: Simulation step [s]; None for the template's, `auto` likewise until a recipe has found one.
-        inertia: Ten parameters of bodies by name, as `frictionzoo.bench.inertia` has them, in place of those of the
-            template: what `fit=inverse_dynamics` found with `fit.links`, or another's identification.
-        gravity: In the frame of the world [m/s^2], of a base that stands askew; None for the template's.
-        tie: Joints that share the values of every parameter that belongs to the motor and gear: pattern of their names
-            by the group's name, or true for all. Offsets (`position_offset`, `torque_offset`, `force_offset`) and the
-            phase of a ripple depend on how each joint was assembled and stay per joint. A parameter's own `tie` comes
-            first.
+        payload: Name of the body that carries the payloads of recordings; None for recordings without payloads.
+        timestep: Simulation step [s]; None for the template's, also used for `auto` until a recipe chooses the step.
+        inertia: Ten parameters of bodies by name, in the format of `frictionzoo.bench.inertia`, which replace the
+            template's: from `fit=inverse_dynamics` with `fit.links`, or from another identification.
+        gravity: Gravity in the world frame [m/s^2], for an inclined base; None for the template's.
+        tie: Joints that share the values of every parameter of motor and gear: patterns of joint names by group name,
+            or true for all joints. Offsets (`position_offset`, `torque_offset`, `force_offset`) and the phase of a
+            ripple depend on the assembly of each joint and stay per joint. `tie` in a parameter's section has
+            precedence.
 
     Raises:
-        BenchError: The template cannot be read or compiled, or does not have these joints.
-        ConfigError: A parameter's section makes no sense.
+        BenchError: The template cannot be read or compiled, or lacks these joints.
+        ConfigError: An option or a parameter's section is invalid.
     """
 
     armature_high: ClassVar[float] = DEFAULTS["armature"]["high"]
@@ -126,7 +125,7 @@ class Bench(Described):
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator, such as PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
         self.actuator = actuator
-        self._start: dict[str, np.ndarray] = {}  # initial values that are not those of `params`
+        self._start: dict[str, np.ndarray] = {}  # initial values that override `params`
         if isinstance(solreffriction, str) and solreffriction != AUTO:
             raise ConfigError(f"bench.solreffriction={solreffriction}; expected two numbers")
         solreffriction = DEFAULT_SOLREFFRICTION if solreffriction in (None, AUTO) else solreffriction
@@ -149,7 +148,7 @@ class Bench(Described):
         self.joints: tuple[str, ...] = self._template.joints
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
-        group_joints("bench.tie", self._tie, self.joints)  # refuses what fits no joint
+        group_joints("bench.tie", self._tie, self.joints)  # refuses patterns that match no joint
         given = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})
         self.params: dict[str, Param] = {name: param.for_joints(self.joints) for name, param in given.items()}
         refuse_negative("bench.params.", {name: param for name, param in self.params.items() if name in _PARAMS})
@@ -162,17 +161,17 @@ class Bench(Described):
         self._limited: np.ndarray = model.jnt_limited.astype(bool)
         self.payload: int | None = None if payload is None else self._template.find_body(model, payload)
         self.observed: dict[str, float] = {}
-        self._loads: dict[Payload, np.ndarray] = {}  # many recordings have the same
+        self._loads: dict[Payload, np.ndarray] = {}  # recordings often share a payload
 
     def _open(self, mjcf: str, joint: str | int | Sequence[str | int] | None, timestep: float | None) -> Template:
         return Template(mjcf, joint, timestep)
 
     def _fill(self, params: Mapping[str, Param]) -> Mapping[str, Param]:
-        """What a bench knows of parameters without a value; a test stand knows nothing."""
+        """Return the parameters with missing values filled in; this base class has no values to add."""
         return params
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
-        """Where the fit of a law of these parameters begins, by name, of those that the bench's file speaks of."""
+        """Return the bench file's initial values of a friction model's parameters, by name."""
         return {}
 
     @property
@@ -181,10 +180,10 @@ class Bench(Described):
         return len(self.joints)
 
     def sampling(self, interval: float) -> Sampling:
-        """How samples of this interval [s] relate to simulation steps and to late commands.
+        """Return the simulation steps per sample and the history of commands for a sample interval [s].
 
         Raises:
-            ConfigError: A command may act so late that it is none of this drive.
+            ConfigError: The delay may exceed the longest history of commands.
         """
         latest = 0.0
         if (delay := self.params.get("delay")) is not None:
@@ -199,14 +198,14 @@ class Bench(Described):
         return Sampling(interval, self._substeps(interval), history, self.actuator.commands, self.second_order)
 
     def initial_values(self) -> dict[str, np.ndarray]:
-        """Initial value of each parameter, of shape (nv,)."""
+        """Return the initial value of each parameter, of shape (nv,)."""
         return {name: np.array(param.each("init", self.nv)) for name, param in self.params.items()} | self._start
 
     def groups(self, param: Param) -> list[str]:
-        """Return each joint's group for a parameter; a joint that shares its value with none has its own name.
+        """Return each joint's group for a parameter; the group of an untied joint is the joint's name.
 
         Raises:
-            ConfigError: A joint belongs to two groups, or a pattern fits none.
+            ConfigError: A joint belongs to two groups, or a pattern matches no joint.
         """
         if param.tie is not None:
             return group_joints(f"{param.name}.tie", param.tie, self.joints)
@@ -214,19 +213,19 @@ class Bench(Described):
 
     @property
     def is_stiff(self) -> bool:
-        """Whether dry friction creeps no more than MuJoCo's steps ask for, which take no time constant below two."""
+        """Whether the friction constraint is as stiff as MuJoCo allows: a time constant of at most two steps."""
         return 0 < self.solreffriction[0] <= 2 * self.timestep * (1 + 1e-9)
 
     @cached_property
     def branches(self) -> tuple[int, ...]:
-        """Number of the branch of each joint, from 0: joints of different ones do not move each other."""
+        """Branch number of each joint, from 0; joints of different branches do not affect each other."""
         return number_branches(self.compile(constraint=False))
 
     def only(self, joints: Sequence[int]) -> "Bench":
-        """The branches of the joints of these indices alone.
+        """Return the bench with only the branches of these joints, given by index.
 
         Raises:
-            BenchError: Without the others, MuJoCo does not compile the MJCF.
+            BenchError: MuJoCo does not compile the MJCF without the other branches.
         """
         other = copy.copy(self)
         other.joints = tuple(self.joints[joint] for joint in joints)
@@ -237,38 +236,38 @@ class Bench(Described):
         return other
 
     def with_inertia(self, inertia: Mapping[str, Sequence[float | int]]) -> "Bench":
-        """The same test stand with other link inertias, by the names of bodies, as the argument `inertia` has them."""
+        """Return the bench with other link inertias, in the format of the argument `inertia`."""
         other = copy.copy(self)
         other._template, other._loads = self._template.with_inertia(inertia), {}
         other.inertia = {**self.inertia, **{name: list(map(float, own)) for name, own in inertia.items()}}
         return other._telling(inertia=other.inertia)
 
     def with_gravity(self, gravity: Sequence[float | int]) -> "Bench":
-        """The same test stand with another gravity, as the argument has it."""
+        """Return the bench with another gravity [m/s^2]."""
         other = copy.copy(self)
         other._template, other.gravity, other._loads = self._template.with_gravity(gravity), list(gravity), {}
         return other._telling(gravity=other.gravity)
 
     def _telling(self, **given: Any) -> "Bench":
-        args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, so that a record tells it
+        args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, for a complete record
         object.__setattr__(self, "_given", (args, kwargs | given))
         return self
 
     def with_options(self, options: Mapping[str, Any]) -> "Bench":
-        """Return the same test stand with other options.
+        """Return the bench with other options.
 
         Args:
-            options: By name, as the command line has them after `bench.`: `{"actuator.params.kp.init": 15.0}`.
+            options: Values by option name, without the prefix `bench.`: `{"actuator.params.kp.init": 15.0}`.
 
         Raises:
-            FrictionzooError: There is no such option, or it cannot have this value.
+            FrictionzooError: An option does not exist or has an invalid value.
         """
         return build(put_options(describe(self), options))
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
-        """The same test stand for another law in place of one that was fitted: the armature alone is free.
+        """Return the bench with fitted values for a fit of another friction model; only the armature is free.
 
-        What else was identified stays: another law's rollouts would move it to make up for what the law cannot.
+        The other parameters stay fixed: a fit would change them to compensate for errors of the friction model.
         """
         armature = np.asarray(values["armature"])
         low, high = float(armature.min()) / _HEAVIER, float(armature.max()) * _HEAVIER
@@ -282,7 +281,7 @@ class Bench(Described):
         return other
 
     def observing(self, inputs: Mapping[str, float]) -> "Bench":
-        """The same test stand, for a friction law with these `inputs`: it looks at more of a recording than the state.
+        """Return the bench for a friction model with these `inputs` in addition to the state.
 
         Raises:
             ConfigError: `DriveState` has no such signal.
@@ -297,7 +296,7 @@ class Bench(Described):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What both laws need in each sample besides the command."""
+        """Inputs of the actuator law and the friction model in each sample, in addition to the command."""
         return (*self.actuator.inputs, *self.observed)
 
     def mjcf(
@@ -308,15 +307,14 @@ class Bench(Described):
         comments: Sequence[str] = (),
         limited: bool = False,
     ) -> str:
-        """The complete MJCF with these values, every number at full precision.
+        """Return the complete MJCF with these values at full precision.
 
         Args:
             values: Value of each of `params`, of shape (nv,).
             frictionloss: Dry-friction limit of each joint [N m or N], of shape (nv,); None for no friction constraint.
-            damping: Damping of each joint [N m s/rad or N s/m], of shape (nv,).
+            damping: Damping of each joint [N m s/rad or N s/m], of shape (nv,), in addition to the template's.
             comments: Lines for the top of the file.
-            limited: Whether MuJoCo's actuators cut the torque themselves, where they can, for a `ctrl` that is what
-                `Actuator.combine` gives.
+            limited: Whether MuJoCo's actuators limit the torque if they can, for the `ctrl` of `Actuator.combine`.
         """
         affine = self.actuator.affine(values)
         joints, actuators = [], []
@@ -328,9 +326,9 @@ class Bench(Described):
             joint["solreffriction"] = " ".join(map(in_full, self.solreffriction))
             if frictionloss is not None:
                 joint["frictionloss"] = in_full(frictionloss[index])
-                if not self._limited[index]:  # nothing to MuJoCo; Genesis softens dry friction by it
+                if not self._limited[index]:  # MuJoCo ignores it; Genesis softens dry friction with it
                     joint["solreflimit"] = joint["solreffriction"]
-            if damping is not None:  # on top of the template's own, as in the simulation
+            if damping is not None:  # added to the template's damping, as in the simulation
                 joint["damping"] = in_full(damping[index] + self.own_damping[index])
             joints.append(joint)
             gain, *bias = (in_full(coefficient[index]) for coefficient in affine)
@@ -340,31 +338,31 @@ class Bench(Described):
         return self._template.write(joints, actuators, comments)
 
     def template(self) -> str:
-        """The MJCF without friction, armature and actuator of the joints, with link inertias, gravity and step."""
+        """Return the MJCF with link inertias, gravity and step, without friction, armature and actuators."""
         return self._template.write(self.nv * [{}], [])
 
     def compile(self, constraint: bool | Sequence[bool]) -> mujoco.MjModel:
-        """The compiled model with initial values.
+        """Return the compiled model with initial values.
 
         Args:
-            constraint: Whether the joints get a row of MuJoCo's friction constraint, or which of them do. MJX fixes the
-                rows when it takes the model over, so the limit is compiled as positive and set to its value later.
+            constraint: Whether all joints, or each joint, has a row of MuJoCo's friction constraint. MJX fixes the rows
+                when it reads the model; the limit is therefore compiled as positive and set to its value later.
 
         Raises:
             BenchError: MuJoCo refuses the template, or an option of it is not supported.
         """
         rows = np.broadcast_to(constraint, self.nv)
-        # Rollouts delay the command themselves, and the engine sets the reference position.
+        # Rollouts delay the command, and the engine sets the reference position.
         values = {name: value for name, value in self.initial_values().items() if name not in _IN_ROLLOUTS}
         return self._template.compile(self.mjcf(values, rows.astype(float) if rows.any() else None), bool(rows.any()))
 
     def accept(self, log: Log) -> Log:
-        """The same log with its columns in the order of the joints, what its payload changes, and what both laws need.
+        """Return the log in the order of the joints, with its load and the inputs of actuator and friction model.
 
         Raises:
-            LogError: Headers of its columns name some of the joints and not all, one twice, or others.
-            BenchError: This bench cannot have produced it: it has another number of joints or actuators, another time
-                step, a payload that no body carries, lacks an input of the actuator law, or has one of a wrong shape.
+            LogError: Column headers name only some of the joints, a joint twice, or unknown joints.
+            BenchError: The log does not fit this bench: another number of joints or actuators, another time step, a
+                payload without a body that carries it, or an input of the actuator law is missing or has a wrong shape.
         """
         log = pair_log(log, self.joints)
         self._check_log(log)
@@ -378,14 +376,14 @@ class Bench(Described):
         return log if self.payload is None else replace(log, load=self.load(log.payload or NO_PAYLOAD))
 
     def accept_all(self, dataset: Dataset) -> Dataset:
-        """The same data set with each log accepted.
+        """Return the data set with each log accepted.
 
-        What the friction law looks at has to be in all of its recordings or in none. In none, the law acts as at the
-        value of `observed`, and what it says of other values is not identifiable. So it is with what the actuator law
-        can do without.
+        All recordings must contain an input of the friction model, or none may. Without it, the model uses the constant
+        in `observed`, and the effect of other values is not identifiable. The same holds for optional inputs of the
+        actuator law.
 
         Raises:
-            BenchError: A log is not accepted, or some have what a law looks at and others do not.
+            BenchError: A log is not accepted, or only some logs contain an input.
         """
         say_lacking(dataset, self.observed, "friction model", ", or take another model")
         say_lacking(dataset, self.actuator.optional_inputs, "actuator")
@@ -393,12 +391,12 @@ class Bench(Described):
         return Dataset(dataset.name, train, test)
 
     def load(self, payload: Payload) -> Float[np.ndarray, "load"]:
-        """What a payload changes in the model; empty for a bench that carries none.
+        """Return the inertia of the model with a payload; empty for a bench without a payload body.
 
         Returns:
-            Of the body together with its payload: mass [kg], centre of mass [m] (3), orientation of the principal axes
-            (quaternion, 4), principal inertia [kg m^2] (3); then the joint-space inertia at the reference position
-            without armature (nv * nv).
+            Mass [kg], centre of mass [m] (3), orientation of the principal axes (quaternion, 4) and principal inertia
+            [kg m^2] (3) of the body with its payload; then the joint-space inertia at the reference position without
+            armature (nv * nv).
         """
         if self.payload is None:
             return np.zeros(0)
@@ -407,15 +405,15 @@ class Bench(Described):
         return self._loads[payload]
 
     def put_load(self, model: mujoco.MjModel, load: Float[np.ndarray, "load"]) -> None:
-        """Let the body that carries payloads be what this `load` makes of it; where that is empty, as it is."""
+        """Set the inertia of the payload body in a compiled model to this `load`; an empty load changes nothing."""
         if self.payload is not None and len(load):
             put_inertial(model, self.payload, load[:INERTIAL])
 
     def simpler(self) -> Iterator[tuple[str, "Bench"]]:
-        """What the MJCF could lack, one attribute or element at a time, in words, and the same test stand without it.
+        """Yield the bench without one attribute or element of its MJCF, with a description of the removed part.
 
-        Not each of them compiles. Bodies and the identified joints stay. Where things are, and how large, comes last:
-        without it the test stand may move so differently that what is at fault does not act.
+        Some of these benches do not compile. Bodies and identified joints are never removed. Positions and sizes come
+        last: without them the motion may change so much that the cause of a problem has no effect.
         """
         for what, template in self._template.simpler():
             other = copy.copy(self)
@@ -433,10 +431,10 @@ class Bench(Described):
         self.check_interval(log.timestep, log.name)
 
     def check_interval(self, interval: float, whose: str) -> None:
-        """Refuse samples that are no whole number of simulation steps apart.
+        """Refuse a sample interval [s] that is not a whole number of simulation steps.
 
         Raises:
-            BenchError: They are not, or too many steps.
+            BenchError: It is not a whole number of steps, or has too many steps.
         """
         if self._substeps(interval) > _MOST_SUBSTEPS:
             raise BenchError(
@@ -450,24 +448,24 @@ class Bench(Described):
             )
 
     def fits(self, interval: float) -> bool:
-        """Whether a whole number of simulation steps lasts an interval [s]."""
+        """Return whether an interval [s] is a whole number of simulation steps."""
         return abs(interval / (self._substeps(interval) * self.timestep) - 1) <= _TIMESTEP_TOLERANCE
 
     def _substeps(self, interval: float) -> int:
         return max(1, round(interval / self.timestep))
 
     def _limited_actuator(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
-        """Attributes of MuJoCo's actuator that cut its torque."""
+        """Return the attributes of MuJoCo's actuator that limit its torque."""
         ends = self.actuator.force_range(values)
         if ends is None or np.abs(ends[index]).min() > _ENDLESS:
             return {}
         return {"forcelimited": "true", "forcerange": " ".join(map(in_full, ends[index]))}
 
     def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
-        """Attributes of MuJoCo's actuator that make it act late.
+        """Return the attributes of MuJoCo's actuator that delay its commands.
 
-        None for an actuator law with a controller that needs the state: late commands meet the present state in it, and
-        MuJoCo's actuator must not delay what comes out.
+        Empty for an actuator law whose controller needs the state: the controller combines delayed commands with the
+        present state, and MuJoCo's actuator must not delay the controller's output.
         """
         if "delay" not in values or self.actuator.needs_state:
             return {}

@@ -1,4 +1,4 @@
-"""Base parameters: what of a linear model's parameters its data can tell at all."""
+"""Base parameters: identifiable combinations of the parameters of a linear regression."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,18 +8,18 @@ import numpy as np
 from jaxtyping import Float
 
 DEPENDENT = 1e-7
-"""Share of a column's length that is left beside the columns before it, below which it is a combination of them."""
-_NOTHING = 1e-9  # coefficient, as a share of a group's largest, that is rounding
+"""Relative residual of a column projected onto the previous columns, below which the column depends on them."""
+_NOTHING = 1e-9  # deviation of a coefficient from 1 that counts as rounding
 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """The fewest combinations of parameters that say all that a regressor sees of them.
+    """Minimal set of parameter combinations that determines the output of a regressor.
 
     Attributes:
-        names: Of the parameters.
-        leading: Index of the parameter that each combination is named after and contains once.
-        matrix: The combinations, in rows, of the parameters.
+        names: Names of the parameters.
+        leading: Index of the leading parameter of each combination, which has coefficient 1.
+        matrix: Coefficients of the parameters, one combination per row.
     """
 
     names: tuple[str, ...]
@@ -28,17 +28,17 @@ class BaseParameters:
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Parameters without any effect."""
+        """Parameters without an effect."""
         return self._pick(~self.matrix.any(axis=0))
 
     @property
     def combined(self) -> tuple[str, ...]:
-        """Parameters that have an effect only together with others."""
+        """Parameters that are identifiable only in combination with others."""
         grouped = (self.matrix != 0)[(self.matrix != 0).sum(axis=1) > 1].any(axis=0)
         return self._pick(grouped)
 
     def describe(self) -> list[str]:
-        """Each combination in words: `Izz link_1 + Iyy link_2 + 0.05 m link_3`."""
+        """Return each combination as text: `Izz link_1 + Iyy link_2 + 0.05 m link_3`."""
         return [self._say(row, first) for row, first in zip(self.matrix, self.leading, strict=True)]
 
     def _say(self, row: Float[np.ndarray, "parameters"], first: int) -> str:
@@ -57,25 +57,26 @@ class BaseParameters:
 def find_base_parameters(
     regressor: Float[np.ndarray, "rows parameters"], names: Sequence[str], dependent: float = DEPENDENT
 ) -> BaseParameters:
-    """The base parameters of a regressor: columns that the ones before them do not explain, with those that they do.
+    """Return the base parameters of a regressor: its independent columns, with the dependent ones grouped into them.
 
-    Of a robot, give the bodies from the base on: what a joint cannot tell of the bodies behind it is then grouped into
-    those before it, as usual. Random states show what the structure allows; those of a recording, what it excites.
+    For a robot, order the bodies from the base outwards. Parameters of outer bodies that are not identifiable are then
+    grouped into inner bodies, as usual. Random states give the structurally identifiable parameters; the states of a
+    recording give those that it excites.
 
-    Source: M. Gautier, "Numerical calculation of the base inertial parameters of robots", 1991, with columns taken
-    up in their order in place of a QR decomposition that drops the smallest diagonal entries.
+    Source: M. Gautier, "Numerical calculation of the base inertial parameters of robots", 1991, with a selection of
+    columns in their order instead of a QR decomposition that drops the smallest diagonal entries.
 
     Args:
         regressor: Effect of each parameter on each measurement.
-        names: Of the parameters.
-        dependent: As `DEPENDENT`.
+        names: Names of the parameters.
+        dependent: Threshold, see `DEPENDENT`.
     """
     triangle = np.asarray(np.linalg.qr(regressor, mode="r"))
     basis, kept = np.zeros((len(triangle), 0)), []
     lengths = np.linalg.norm(triangle, axis=0)
     for index, column in enumerate(triangle.T):
         rest = column - basis @ (basis.T @ column)
-        rest = rest - basis @ (basis.T @ rest)  # once more, for what rounding left
+        rest = rest - basis @ (basis.T @ rest)  # a second time against rounding errors
         if np.linalg.norm(rest) > dependent * max(lengths[index], dependent * lengths.max()):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
             kept.append(index)

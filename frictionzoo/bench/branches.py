@@ -1,7 +1,7 @@
-"""Branches of a robot whose base is fixed: subtrees of bodies that do not move each other, and those that are alike.
+"""Branches of a robot with a fixed base: independent subtrees of bodies, grouped by identical structure.
 
-A quadruped that hangs is four legs. Their equations of motion have nothing in common, so that each is a problem of its
-own; legs of the same build differ in a few numbers of their links alone.
+A suspended quadruped has four legs with independent equations of motion, and each leg is a separate problem. Legs with
+the same structure differ only in a few numbers of their links.
 """
 
 from collections.abc import Sequence
@@ -15,20 +15,20 @@ from frictionzoo.bench.compiled import can_collide
 
 _LINKS = ("body_pos", "body_quat", "body_mass", "body_subtreemass", "body_ipos", "body_iquat", "body_inertia")
 _LINKS += ("jnt_pos", "jnt_axis", "jnt_stiffness", "qpos0", "qpos_spring", "dof_damping")
-"""Numbers of links and joints that may differ between branches that are alike."""
+"""Fields of links and joints that may differ between branches of the same structure."""
 _IDLE = ("invweight0", "M0", "acc0", "length0", "user", "range", "treeid", "name", "margin", "tree_", "nbuffer")
 _IDLE += ("dof_armature", "actuator_gainprm", "actuator_biasprm")
-"""Parts of names of what does not act on joints without limits, follows from the rest, or is given in each step."""
+"""Parts of the names of fields that have no effect on joints without limits, are derived, or are set in each step."""
 _SIGHT = ("geom_", "mesh_", "mat_", "site_", "cam_", "light_", "bvh_", "tex_", "skin_", "vis", "stat", "oct_", "paths")
 
 
 class Alike(NamedTuple):
-    """Branches of one build.
+    """Branches of the same structure.
 
     Attributes:
-        joints: Index of each joint, a row a branch.
-        fields: Which numbers of the compiled model differ between them: field and place in the flattened array.
-        links: These numbers, a row a branch.
+        joints: Index of each joint, one row per branch.
+        fields: Numbers of the compiled model that differ between the branches: field, and index in its flattened array.
+        links: Values of these numbers, one row per branch.
     """
 
     joints: Int[np.ndarray, "branches joints"]
@@ -37,7 +37,7 @@ class Alike(NamedTuple):
 
 
 def number_branches(model: mujoco.MjModel) -> tuple[int, ...]:
-    """Number of the branch of each joint, from 0; one for all where contacts, equalities or tendons may join them."""
+    """Return each joint's branch number, from 0; 0 for all if contacts, equalities or tendons may couple branches."""
     if model.neq or model.ntendon or model.npair or can_collide(model):
         return (0,) * model.nv
     numbers: dict[int, int] = {}
@@ -45,11 +45,11 @@ def number_branches(model: mujoco.MjModel) -> tuple[int, ...]:
 
 
 def group_alike(joints: Sequence[Int[np.ndarray, "_"]], models: Sequence[mujoco.MjModel]) -> list[Alike]:
-    """Branches in groups of one build, by their compiled models.
+    """Return the branches in groups of the same structure, by their compiled models.
 
     Args:
         joints: Indices of each branch's joints.
-        models: Compiled model of each branch alone.
+        models: Compiled model of each branch without the others.
     """
     groups: dict[bytes, list[int]] = {}
     for index, model in enumerate(models):
@@ -68,7 +68,7 @@ def _compare(joints: Sequence[np.ndarray], models: Sequence[mujoco.MjModel]) -> 
 
 
 def _build(model: mujoco.MjModel) -> bytes:
-    """All of a compiled model that has to be the same: sizes, structure, actuators, options."""
+    """Return the parts of a compiled model that must be identical: sizes, structure, actuators, options."""
     found = []
     for name in dir(model):
         if name.startswith(("_", *_SIGHT)) or name in _LINKS or any(part in name for part in _IDLE):

@@ -1,4 +1,4 @@
-"""MuJoCo's compiled model of a bench: its contacts, its inertia, and the payload that a body of it carries."""
+"""Contacts, inertia and payload of a bench's compiled MuJoCo model."""
 
 import copy
 
@@ -9,45 +9,45 @@ from jaxtyping import Float
 from frictionzoo.core.log import Payload
 
 NO_FRICTION_CONSTRAINT = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
-"""Flags of an MJCF that disable the friction constraint."""
+"""MJCF flags that disable the friction constraint."""
 NO_PAYLOAD = Payload(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 INERTIAL = 11
-"""Number of entries of a load that describe the body; the others are the joint-space inertia."""
+"""Number of entries of a load that describe the body; the remaining ones are the joint-space inertia."""
 
 
 def can_collide(model: mujoco.MjModel) -> bool:
-    """Return whether MuJoCo looks for contacts between any two geoms.
+    """Return whether MuJoCo checks any two geoms for contacts.
 
-    It does not between geoms of one body or of bodies welded together, nor, unless `filterparent` is disabled, between
-    a moving body and its parent. Pairs that the MJCF excludes count as if they were not excluded.
+    MuJoCo ignores geoms of one body or of bodies welded together and, unless `filterparent` is disabled, a moving
+    body and its parent. This function ignores the excluded pairs of the MJCF.
 
     Source: MuJoCo documentation, "Computation", "Collision detection", selection.
     """
     wanted = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
     body = model.body_weldid[model.geom_bodyid]
     parent = model.body_weldid[model.body_parentid[body]]
-    # A parent that stands still may touch its children.
+    # A fixed parent may touch its children.
     child = (parent[:, None] == body[None, :]) & (body[None, :] != 0)
     filtered = (child | child.T) & (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     return bool(((wanted | wanted.T) & (body[:, None] != body[None, :]) & ~filtered).any())
 
 
 def combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "load"]:
-    """Put a payload on the body of this index of the model, and return the load as `Bench.load` does."""
+    """Add a payload to a body of the model, given by index, and return the load in the format of `Bench.load`."""
     inertial = _combine(model, body, payload)
     put_inertial(model, body, inertial)
     return np.concatenate([inertial, rigid_inertia(model).ravel()])
 
 
 def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "11"]:
-    """Mass, centre, principal axes and inertia of a body and its payload, by the parallel-axis theorem."""
+    """Return mass, centre, principal axes and inertia of a body with its payload, by the parallel-axis theorem."""
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[body])
     axes = axes.reshape(3, 3)
     masses = np.array([model.body_mass[body], payload.mass])
     centres = np.stack([model.body_ipos[body], payload.position])
     inertias = [axes * model.body_inertia[body] @ axes.T, np.diag(payload.inertia)]
-    # A frame without mass may carry a payload of no mass.
+    # Body and payload may both have no mass.
     centre = masses @ centres / masses.sum() if masses.sum() > 0 else centres[0]
     total = np.zeros((3, 3))
     for mass, inertia, offset in zip(masses, inertias, centres - centre, strict=True):
@@ -60,25 +60,25 @@ def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.nda
 
 
 def put_inertial(model: mujoco.MjModel, body: int, inertial: Float[np.ndarray, "11"]) -> None:
-    """Set mass, centre, principal axes and inertia of the body of this index, the first entries of a load."""
+    """Set mass, centre, principal axes and inertia of a body, given by index, to the first entries of a load."""
     model.body_mass[body], model.body_ipos[body] = inertial[0], inertial[1:4]
     model.body_iquat[body], model.body_inertia[body] = inertial[4:8], inertial[8:]
-    # MuJoCo's compiler took shortcuts for the body without the payload.
+    # Clear shortcuts that MuJoCo's compiler chose for the body without the payload.
     model.body_sameframe[body] = model.body_simple[body] = 0
     model.dof_simplenum[:] = 0
-    mujoco.mj_setConst(model, mujoco.MjData(model))  # masses of subtrees, on which the origin of inertias depends
+    mujoco.mj_setConst(model, mujoco.MjData(model))  # updates subtree masses, which set the origin of inertias
 
 
 def rigid_inertia(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
-    """Return the joint-space inertia at the reference position [kg m^2 or kg], in the same bits for any armature."""
+    """Return the joint-space inertia at the reference position [kg m^2 or kg], bit-identical for any armature."""
     return rigid_inertia_at(model, model.qpos0[None])[0]
 
 
 def rigid_inertia_at(model: mujoco.MjModel, qpos: Float[np.ndarray, "places nv"]) -> Float[np.ndarray, "places nv nv"]:
-    """Return the joint-space inertia without the armature at these positions [kg m^2 or kg]."""
+    """Return the joint-space inertia without armature at these positions [kg m^2 or kg]."""
     model, data = copy.copy(model), mujoco.MjData(model)
-    model.dof_armature[:] = 0  # subtracted afterwards, it would leave its rounding
-    # For simple bodies MuJoCo copies the compiled inertia, with the armature.
+    model.dof_armature[:] = 0  # a later subtraction would leave a rounding error
+    # For simple bodies MuJoCo copies the compiled inertia, including armature.
     model.body_simple[:] = model.dof_simplenum[:] = 0
     inertia = np.zeros((len(qpos), model.nv, model.nv))
     for matrix, data.qpos[:] in zip(inertia, qpos, strict=True):
@@ -87,7 +87,7 @@ def rigid_inertia_at(model: mujoco.MjModel, qpos: Float[np.ndarray, "places nv"]
 
 
 def _write_inertia(model: mujoco.MjModel, data: mujoco.MjData, inertia: Float[np.ndarray, "nv nv"]) -> None:
-    # mj_forward would divide by the inertia, which a joint without armature may not have.
+    # mj_forward would divide by the inertia, which may be 0 for a joint without armature.
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM):
         stage(model, data)
     mujoco.mj_fullM(model, data, inertia)

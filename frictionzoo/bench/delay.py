@@ -1,4 +1,4 @@
-"""Attributes for the delay of MuJoCo's actuators."""
+"""Delay attributes of MuJoCo's actuators."""
 
 import math
 
@@ -8,16 +8,16 @@ from jaxtyping import Float
 from frictionzoo.bench.template import in_full
 
 _ROUNDING = 1e-9  # share of a step
-_SHORTEST = 0.1  # of a step, filter under RK4
+_SHORTEST = 0.1  # shortest filter under RK4, as a share of a step
 
 
 def write_delay(delay: float, timestep: float) -> dict[str, str]:
-    """Return the attributes by which an actuator delays its commands in steps of this length [s].
+    """Return the attributes of an actuator with a delay [s] in simulation steps of length `timestep` [s].
 
-    Between two steps MuJoCo interpolates linearly: a held command acts with its mean over the step, as in
-    `frictionzoo.simulate.rollout.applied`. MuJoCo stores a command at the end of its step, so its shortest delay is one
-    step. A shorter delay is written as a first-order filter that lags a steady change by the same time: in each step
-    its activation goes 1 / (1 + delay / timestep) of the way to the command.
+    MuJoCo interpolates linearly between steps: a held command acts with its mean over the step, as in
+    `frictionzoo.simulate.rollout.applied`. MuJoCo stores a command at the end of its step; its shortest delay is one
+    step. A shorter delay becomes a first-order filter with the same lag for a ramp: in each step its activation covers
+    1 / (1 + delay / timestep) of the distance to the command.
 
     Source: MuJoCo documentation, XML reference, `actuator/general/delay`; "Computation", "Actuation model".
     """
@@ -31,12 +31,12 @@ def write_delay(delay: float, timestep: float) -> dict[str, str]:
 
 
 def stretch(delay: Float[np.ndarray, "..."], timestep: float) -> Float[np.ndarray, "..."]:
-    """Return the delays [s] to write for MuJoCo's RK4, so that commands act this late in steps of this length [s].
+    """Return the delays [s] that MuJoCo's RK4 needs to delay commands by `delay` [s] in steps of `timestep` [s].
 
-    RK4 reads the late command at a step's begin, middle and end, with weights of 1/6, 2/3 and 1/6. It takes the last
-    stored command where it needs a later one. From a delay of two steps on, a steady change is late by half a step less
-    than the delay; the difference is smaller for shorter delays. Filters lag by their delay, but RK4 is unstable for
-    less than a fifteenth of a step: below a tenth, the delay is rounded to a tenth or to none.
+    RK4 reads the delayed command at the start, middle and end of a step, with weights of 1/6, 2/3 and 1/6. If it needs
+    a command that is not stored yet, it uses the last stored one. From a delay of two steps on, the lag of a ramp is
+    half a step shorter than the delay; the difference is smaller for shorter delays. Filters lag by their delay, but
+    RK4 is unstable below a fifteenth of a step: a delay below a tenth of a step is rounded to a tenth or to 0.
     """
     steps = np.asarray(delay) / timestep
     filtered = np.where(steps < _SHORTEST, np.round(steps / _SHORTEST) * _SHORTEST, steps)
@@ -45,10 +45,10 @@ def stretch(delay: Float[np.ndarray, "..."], timestep: float) -> Float[np.ndarra
 
 
 def is_filtered(delay: float, timestep: float) -> bool:
-    """Return whether a delay is a filter in steps of this length [s]."""
+    """Return whether `write_delay` writes a delay [s] as a filter."""
     return _ROUNDING <= delay / timestep < 1 - _ROUNDING
 
 
 def read_filter(constant: float, timestep: float) -> float:
-    """Return the delay [s] of a filter with this time constant [s], the inverse of `write_delay`."""
+    """Return the delay [s] of a filter with a time constant [s], the inverse of `write_delay`."""
     return timestep / math.expm1(timestep / constant)

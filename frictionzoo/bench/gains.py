@@ -1,4 +1,4 @@
-"""A controller's gains that nobody stated, from what recordings hold: their own columns, or the recorded torque."""
+"""Missing controller gains, from recorded gain columns or by regression of the recorded torque."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -12,17 +12,17 @@ from frictionzoo.core.log import Dataset, Log
 
 GAINS = ("kp", "kd")
 _OPTION = "actuator.params.{}.init"
-_CONSTANT = 1e-6  # share by which a gain may vary and still be one value
-_EXPLAINED = 0.95  # share of a recorded torque's variance that a controller's law explains
-_KNOWN = 0.1  # standard error of kp, as a share of it, up to which the torque tells it
-_LATEST, _LAGS = 0.1, 50  # s, by which a command may act late, and how many lags are tried at most
-_CORRELATED = 15.0  # neighbouring samples that are as good as one
-_LEAST = 1e-3  # share of kp times 1 s, of a kd that the torque does not show
+_CONSTANT = 1e-6  # relative variation up to which a gain is constant
+_EXPLAINED = 0.95  # least share of the recorded torque's variance that the gains must explain
+_KNOWN = 0.1  # largest relative standard error of kp
+_LATEST, _LAGS = 0.1, 50  # longest delay of a command [s], and approximate number of tested lags
+_CORRELATED = 15.0  # correlation length of the residual [samples]
+_LEAST = 1e-3  # least kd, as a share of kp times 1 s
 _log = logging.getLogger(__name__)
 
 
 class _Regression(NamedTuple):
-    """Gains of a joint, the share of the torque's variance that they explain, and the relative error of kp."""
+    """Gains of a joint, their explained share of the torque's variance, and the relative standard error of kp."""
 
     kp: float
     kd: float
@@ -31,7 +31,7 @@ class _Regression(NamedTuple):
 
 
 def stand_in(section: Mapping[str, Any]) -> dict[str, float]:
-    """Return options that give a bench's missing gains any value, so that it can be built to name its joints."""
+    """Return options with placeholders for a bench's missing gains, to build it and read its joint names."""
     return {_OPTION.format(name): 1.0 for name in _list_missing(section)}
 
 
@@ -41,15 +41,16 @@ def _list_missing(section: Mapping[str, Any]) -> list[str]:
 
 
 def find_gains(section: Mapping[str, Any], dataset: Dataset, missing: MissingValueError) -> dict[str, Any]:
-    """Return the options of a bench that its recordings state, by name after `bench.`, and log where they come from.
+    """Return options with the missing gains from the recordings, without the prefix `bench.`, and log their origin.
 
     Args:
-        section: Of the bench.
+        section: The bench's section.
         dataset: Recordings.
-        missing: What building the bench raised.
+        missing: Error raised when the bench was built.
 
     Raises:
-        ConfigError: The missing value is no gain, or the recordings do not tell it.
+        ConfigError: A recorded gain varies, or the recordings do not determine a gain.
+        MissingValueError: The missing value is not a gain.
     """
     wanted = _list_missing(section)
     if not wanted:
@@ -75,7 +76,7 @@ def _ask(names: Sequence[str], why: str) -> None:
 
 
 def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[float]]:
-    """Return gains that all recordings have as columns, one a joint.
+    """Return gains that all recordings contain as columns, one value per joint.
 
     Raises:
         ConfigError: A gain varies.
@@ -97,7 +98,7 @@ def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[flo
 
 
 def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
-    """Return gains by the recorded torque, one a joint, and why there are none."""
+    """Return gains by regression of the recorded torque, one value per joint, or the reason for their absence."""
     if not all("torque" in log.extras and log.extras["torque"].shape == log.qpos.shape for log in logs):
         return {}, ""
     rows = [_regress_joint(logs, joint) for joint in range(logs[0].qpos.shape[1])]
@@ -118,7 +119,7 @@ def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
 
 
 def _regress_joint(logs: Sequence[Log], joint: int) -> _Regression:
-    """Return the best of several lags of the command."""
+    """Return the regression with the best lag of the command."""
     step = max(1, round(_LATEST / logs[0].timestep / _LAGS))
     lags = range(0, round(_LATEST / logs[0].timestep) + 1, step)
     tried = (_solve(*_equations(logs, joint, lag)) for lag in lags if all(log.samples > lag + 100 for log in logs))
@@ -128,7 +129,7 @@ def _regress_joint(logs: Sequence[Log], joint: int) -> _Regression:
 def _equations(
     logs: Sequence[Log], joint: int, lag: int
 ) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows"]]:
-    """Return torque = kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque + offset of all samples."""
+    """Return columns and torques of torque = kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque + offset."""
     columns, torques = [], []
     for log in logs:
         still = np.zeros_like(log.qpos)

@@ -1,4 +1,4 @@
-"""What can be read of an identification before the slow imports: its test stand and its recordings."""
+"""Bench and recordings of an identification, read before the slow imports."""
 
 import time
 from collections.abc import Mapping
@@ -15,13 +15,13 @@ from frictionzoo.logs.source import Source
 
 
 class Given(NamedTuple):
-    """The input of an identification besides its options; neither torch nor JAX is imported for it.
+    """Input of an identification, read without torch and JAX.
 
     Attributes:
-        bench: The test stand.
+        bench: The bench.
         dataset: Recordings, train and test.
-        seconds: What reading them took [s].
-        settings: All options of the run, with gains that the recordings state.
+        seconds: Time to read them [s].
+        settings: All options of the run, including gains from the recordings.
     """
 
     bench: Bench
@@ -31,15 +31,15 @@ class Given(NamedTuple):
 
     @classmethod
     def read(cls, settings: Mapping[str, Any]) -> "Given":
-        """Return the bench and the recordings that the sections `bench` and `data` describe.
+        """Return the bench and the recordings of the sections `bench` and `data`.
 
-        Gains of a controller that have no value are taken from the recordings, where these tell them.
+        Missing controller gains are taken from the recordings if possible.
 
         Raises:
-            FrictionzooError: One of them is not there, or not what was expected, or a parameter of the law is none.
+            FrictionzooError: The bench, the recordings or the section of a friction parameter are missing or invalid.
         """
         began = time.perf_counter()
-        # Which law has it, and of what dimension it is, is asked when the law is built.
+        # The friction model checks names and dimensions when it is built.
         for name, section in (settings.get("model", {}).get("params") or {}).items():
             Param.from_config(name, "1", section)
         source, section = build(settings["data"], Source), settings["bench"]
@@ -52,10 +52,10 @@ class Given(NamedTuple):
 
 
 def build_open(section: Mapping[str, Any]) -> tuple[Bench, MissingValueError | None]:
-    """Return the bench of a section, and what it lacks: gains that have no value are 1 then, so that joints are known.
+    """Return the bench of a section, and the error if gains are missing; these are 1 in the bench.
 
     Raises:
-        FrictionzooError: The section is not a bench's, or another value is missing.
+        FrictionzooError: The section is invalid, or a value other than a gain is missing.
     """
     try:
         return build(section, Bench), None

@@ -1,12 +1,12 @@
-"""Link inertia as numbers that a fit can move: the ten parameters of a body, its pseudo-inertia, and log-Cholesky.
+"""Parametrisations of link inertia: ten inertial parameters, pseudo-inertia and log-Cholesky coordinates.
 
-The ten are those in which a robot's inverse dynamics is linear: mass m [kg], first moments m c [kg m], and the inertia
-about the origin of the body's frame, along its axes, in the order of MuJoCo's `fullinertia`: Ixx, Iyy, Izz, Ixy, Ixz,
-Iyz [kg m^2]. In the pseudo-inertia, second moments stand in place of the inertia:
+The inverse dynamics of a robot is linear in the ten parameters: mass m [kg], first moments m c [kg m], and the inertia
+about the origin of the body frame, in its axes and in the order of MuJoCo's `fullinertia`: Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+[kg m^2]. The pseudo-inertia J contains second moments S instead of the inertia I:
 
     J = [[S, m c], [m c', m]],  S = trace(I) / 2 - I
 
-A body of positive mass anywhere has J positive definite, and the other way round.
+J is positive definite if and only if the parameters are physically consistent: a body of positive mass can have them.
 
 Source: P. Wensing, S. Kim, J.-J. Slotine, "Linear matrix inequalities for physically consistent inertial parameter
 identification", 2018.
@@ -24,16 +24,16 @@ from frictionzoo.bench.compiled import put_inertial
 from frictionzoo.core.errors import BenchError
 
 SYMBOLS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-"""Name of each of the ten parameters of a body."""
+"""Names of the ten parameters of a body."""
 COORDINATES = ("mass", *("centre",) * 3, *("size",) * 6)
-"""What each log-Cholesky coordinate of a body changes."""
+"""Property that each log-Cholesky coordinate of a body changes."""
 THINNEST = 1e-3
-"""Spread of a body's mass [m] below which it is taken as this thick: a point or a rod has no logarithm."""
-_AXES = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where a symmetric matrix's entries lie among its six numbers
+"""Least spread of a body's mass along each axis [m]; for a point or a rod the logarithm would be infinite."""
+_AXES = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # index of each entry of a symmetric matrix among its six numbers
 
 
 def inertial_parameters(model: mujoco.MjModel, bodies: Sequence[int]) -> Float[np.ndarray, "bodies 10"]:
-    """The ten parameters of each of these bodies, by index, as the compiled model has them."""
+    """Return the ten parameters of bodies of a compiled model, given by index."""
     return np.stack([_parameters_of(model, body) for body in bodies])
 
 
@@ -48,12 +48,12 @@ def _parameters_of(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "10"]:
 def to_parameters(
     mass: float, centre: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "10"]:
-    """The ten parameters of a body.
+    """Return the ten parameters of a body.
 
     Args:
-        mass: [kg].
-        centre: Of mass, in the body's frame [m].
-        inertia: About that centre, along the axes of the frame [kg m^2].
+        mass: Mass [kg].
+        centre: Centre of mass in the body frame [m].
+        inertia: Inertia about the centre of mass, in the axes of the body frame [kg m^2].
     """
     about_origin = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     return np.concatenate([[mass], mass * centre, _six(about_origin)])
@@ -62,17 +62,17 @@ def to_parameters(
 def from_parameters(
     parameters: Float[np.ndarray, "10"],
 ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Mass, centre, and inertia about the centre along the frame's axes, of a body with these parameters."""
+    """Return mass [kg], centre [m], and inertia about the centre in the axes of the body frame [kg m^2]."""
     mass, centre = float(parameters[0]), parameters[1:4] / parameters[0]
     about_origin = parameters[4:][_AXES]
     return mass, centre, about_origin - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
 
 
 def put_parameters(model: mujoco.MjModel, body: int, parameters: Float[np.ndarray, "10"]) -> None:
-    """Let the body of this index of a compiled model have these ten parameters.
+    """Set the ten parameters of a body of a compiled model, given by index.
 
     Raises:
-        BenchError: No body of positive mass has them.
+        BenchError: The parameters are not physically consistent.
     """
     if not is_consistent(parameters):
         raise BenchError(
@@ -88,7 +88,7 @@ def put_parameters(model: mujoco.MjModel, body: int, parameters: Float[np.ndarra
 
 
 def to_pseudo_inertia(parameters: Float[np.ndarray, "*batch 10"]) -> Float[np.ndarray, "*batch 4 4"]:
-    """Pseudo-inertia of the ten parameters of bodies."""
+    """Return the pseudo-inertia for the ten parameters of bodies."""
     inertia = parameters[..., 4:][..., _AXES]
     trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
     second = trace / 2 * np.eye(3) - inertia
@@ -98,37 +98,37 @@ def to_pseudo_inertia(parameters: Float[np.ndarray, "*batch 10"]) -> Float[np.nd
 
 
 def from_pseudo_inertia(pseudo: Inexact[np.ndarray, "*batch 4 4"]) -> Inexact[np.ndarray, "*batch 10"]:
-    """The ten parameters of bodies with these pseudo-inertias, real or complex."""
+    """Return the ten parameters of bodies for their pseudo-inertias, real or complex."""
     second = pseudo[..., :3, :3]
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
     return np.concatenate([pseudo[..., 3, 3:], pseudo[..., :3, 3], _six(inertia)], axis=-1)
 
 
 def is_consistent(parameters: Float[np.ndarray, "*batch 10"]) -> Any:
-    """Whether some body of positive mass has these ten parameters, for each of many."""
+    """Return for each body whether its ten parameters are physically consistent."""
     return np.linalg.eigvalsh(to_pseudo_inertia(parameters))[..., 0] > 0
 
 
 @dataclass(frozen=True)
 class LogCholesky:
-    """Coordinates of bodies' inertia in which every vector is a physical body, and zero is the maker's.
+    """Log-Cholesky coordinates of bodies' inertia; every vector is physically consistent, zero is the nominal body.
 
-    Of one body, with the maker's mass m0, centre c0 and second moments S0 = L0 L0' about the centre:
+    For one body with nominal mass m0, centre c0 and second moments S0 = L0 L0' about the centre:
 
         m = m0 exp(x0),  c = c0 + (x1, x2, x3),  S = exp(x0) L0 A A' L0'
         A = [[exp(x4), x7, x8], [0, exp(x5), x9], [0, 0, exp(x6)]]
 
-    with S about the new centre and L0 upper triangular. So x0 is a share of the mass, x1 to x3 are metres, and the
-    others are shares of the body's own spread. The pseudo-inertia is U U' with U upper triangular and a diagonal above
-    0, whatever x is, and each positive definite one is reached.
+    with S about the new centre and L0 upper triangular. x0 changes the mass relative to m0, x1 to x3 are in metres, and
+    x4 to x9 change the spread of the mass relative to the nominal spread. The pseudo-inertia is U U' with an upper
+    triangular U with positive diagonal for every x, and every positive definite pseudo-inertia has coordinates.
 
-    Source: C. Rucker, P. Wensing, "Smooth parameterization of rigid-body inertia", 2022, relative to
-    the maker's body instead of to one of unit mass.
+    Source: C. Rucker, P. Wensing, "Smooth parameterization of rigid-body inertia", 2022, here relative to
+    the nominal body instead of a body of unit mass.
 
     Attributes:
-        mass: The maker's, of shape (bodies,) [kg].
-        centre: The maker's, (bodies, 3) [m].
-        factor: L0 (bodies, 3, 3) [kg^(1/2) m].
+        mass: Nominal masses, of shape (bodies,) [kg].
+        centre: Nominal centres, of shape (bodies, 3) [m].
+        factor: L0, of shape (bodies, 3, 3) [kg^(1/2) m].
     """
 
     mass: Float[np.ndarray, "bodies"]
@@ -137,21 +137,21 @@ class LogCholesky:
 
     @classmethod
     def around(cls, parameters: Float[np.ndarray, "bodies 10"], names: Sequence[str]) -> "LogCholesky":
-        """Coordinates around the maker's bodies, with a least thickness of `THINNEST`.
+        """Return the coordinates relative to nominal bodies, with at least the thickness `THINNEST`.
 
         Args:
-            parameters: Ten of each.
-            names: Of the bodies, for messages.
+            parameters: Ten parameters of each body.
+            names: Names of the bodies, for messages.
 
         Raises:
-            BenchError: One has no mass, or an inertia that no body has.
+            BenchError: A body has no mass, or its inertia is not physical.
         """
         parts = [_reference(own, name) for own, name in zip(parameters, names, strict=True)]
         mass, centre, factor = (np.array(part) for part in zip(*parts, strict=True))
         return cls(mass, centre, factor)
 
     def parameters(self, coordinates: Inexact[np.ndarray, "bodies 10"]) -> Inexact[np.ndarray, "bodies 10"]:
-        """The ten parameters of each body, from its coordinates, real or complex."""
+        """Return the ten parameters of each body from its coordinates, real or complex."""
         moved = np.moveaxis(coordinates, -1, 0)
         ratio, (s12, s13, s23), zero = np.exp(moved[0]), moved[7:], 0 * moved[0]
         d1, d2, d3 = np.exp(moved[4:7])
@@ -166,14 +166,14 @@ class LogCholesky:
         return from_pseudo_inertia(np.concatenate([upper, lower], axis=-2))
 
     def slopes(self, coordinates: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10 10"]:
-        """Derivative of each body's ten parameters, in rows, with respect to its coordinates, in columns."""
-        # A complex step has no rounding to trade against its length: the derivative is exact.
+        """Return the derivative of each body's ten parameters, in rows, with respect to its coordinates, in columns."""
+        # A complex step has no cancellation, and the derivative is exact to rounding.
         steps = 1e-30j * np.eye(10)
         moved = [self.parameters(coordinates + step).imag / 1e-30 for step in steps]
         return np.stack(moved, axis=-1)
 
     def coordinates(self, parameters: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10"]:
-        """The coordinates of bodies with these ten parameters each, which have to be consistent."""
+        """Return the coordinates of bodies from their ten parameters, which must be physically consistent."""
         found = []
         for own, mass0, centre0, factor0 in zip(parameters, self.mass, self.centre, self.factor, strict=True):
             mass, centre, _ = from_parameters(own)
@@ -201,10 +201,10 @@ def _reference(
 
 
 def _upper_cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """U with U U' = matrix, upper triangular: numpy's lower one of the matrix read backwards, read backwards."""
+    """Return the upper triangular U with U U' = matrix, from numpy's lower factor by reversing rows and columns."""
     return np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1]
 
 
 def _six(inertia: Any) -> Any:
-    """Ixx, Iyy, Izz, Ixy, Ixz, Iyz of symmetric matrices, of shape (..., 6)."""
+    """Return Ixx, Iyy, Izz, Ixy, Ixz, Iyz of symmetric matrices, of shape (..., 6)."""
     return np.stack([inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=-1)

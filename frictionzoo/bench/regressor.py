@@ -1,7 +1,7 @@
-"""Inverse dynamics of a compiled model, and its regressor: how the torque depends on the links' inertia, linearly.
+"""Inverse dynamics of a compiled MuJoCo model, and the regressor of its torque on the links' inertial parameters.
 
-The kinematics is MuJoCo's own; what it lacks is the derivative of its recursive Newton-Euler algorithm with respect to
-mass, centre and inertia, which is written out here over all samples at once.
+The kinematics comes from MuJoCo. This module adds the derivative of the recursive Newton-Euler algorithm with respect
+to mass, centre and inertia, vectorised over samples.
 """
 
 import copy
@@ -23,10 +23,10 @@ _OFF = (
 
 
 def without_drives(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of a compiled model with neither armature nor constraints: links, springs and dampers alone.
+    """Return a copy of a compiled model without armature, constraints, contacts and actuation.
 
     Raises:
-        BenchError: A joint is no hinge and no slide.
+        BenchError: A joint is neither a hinge nor a slide.
     """
     simple = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
     for joint in np.flatnonzero(~simple):
@@ -47,18 +47,18 @@ def inverse_torque(
     qvel: Float[np.ndarray, "time nv"],
     qacc: Float[np.ndarray, "time nv"],
 ) -> Float[np.ndarray, "time nv"]:
-    """The torque that links, springs and dampers need for a motion, by MuJoCo's inverse dynamics [N m or N].
+    """Return the torque of a motion with links, springs and dampers, by MuJoCo's inverse dynamics [N m or N].
 
-    Neither armature nor MuJoCo's constraints, its dry friction among them, have a part in it.
+    It excludes armature and MuJoCo's constraints, such as dry friction.
 
     Args:
-        model: Compiled, of hinges and slides.
+        model: Compiled model with hinges and slides.
         qpos: Positions [rad or m].
         qvel: Velocities [rad/s or m/s].
         qacc: Accelerations [rad/s^2 or m/s^2].
 
     Raises:
-        BenchError: A joint is no hinge and no slide.
+        BenchError: A joint is neither a hinge nor a slide.
     """
     model = without_drives(model)
     data, torque = mujoco.MjData(model), np.empty_like(qpos)
@@ -75,27 +75,27 @@ def inertial_regressor(
     qvel: Float[np.ndarray, "time nv"],
     qacc: Float[np.ndarray, "time nv"],
 ) -> Float[np.ndarray, "time nv bodies 10"]:
-    """How much torque a motion needs for each unit of each of the ten parameters of `inertia`, of chosen bodies.
+    """Return the derivative of a motion's torque with respect to the ten inertial parameters of selected bodies.
 
-    With w and e the angular velocity and acceleration of a body and a the acceleration of its origin less gravity, all
-    in its own frame, the force and the torque about the origin that it needs are
+    With the angular velocity w and acceleration e of a body and the acceleration a of its origin minus gravity, all in
+    the body frame, its force and its torque about the origin are
 
         f = m a + e x mc + w x (w x mc),   n = mc x a + I e + w x I w
 
-    Each joint between it and the world bears the part along its axis. What bodies need adds up; with all bodies of a
-    model, times their parameters, it is `inverse_torque` but for springs, dampers and the like.
+    Each joint between the body and the world takes the component about or along its axis. The regressor of all bodies
+    times their parameters equals `inverse_torque` without springs, dampers and other passive forces.
 
     Source: C. Atkeson, C. An, J. Hollerbach, "Estimation of inertial parameters of manipulator loads and links", 1986.
 
     Args:
-        model: Compiled, of hinges and slides.
-        bodies: Their indices.
+        model: Compiled model with hinges and slides.
+        bodies: Indices of the bodies.
         qpos: Positions [rad or m].
         qvel: Velocities [rad/s or m/s].
         qacc: Accelerations [rad/s^2 or m/s^2].
 
     Raises:
-        BenchError: A joint is no hinge and no slide, or MuJoCo compensates a body's gravity, which depends on its mass.
+        BenchError: A joint is neither a hinge nor a slide, or a body has gravity compensation, which depends on mass.
     """
     model, chosen = without_drives(model), np.asarray(bodies, int)
     for body in chosen[model.body_gravcomp[chosen] != 0]:
@@ -116,11 +116,11 @@ def inertial_regressor(
 def _motions(
     model: mujoco.MjModel, bodies: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray
 ) -> tuple[Any, Any, Any, Any]:
-    """How bodies move, in their own frames.
+    """Return the motion of bodies in their frames.
 
     Returns:
-        Joint axes (turn, then shift of the origin), of shape (time, bodies, nv, 6); angular velocity, angular
-        acceleration, and acceleration of the origin less gravity, (time, bodies, 3).
+        Joint axes (rotation, then translation of the origin), of shape (time, bodies, nv, 6); angular velocity, angular
+        acceleration, and acceleration of the origin minus gravity, each of shape (time, bodies, 3).
     """
     data, samples = mujoco.MjData(model), len(qpos)
     place, rotation = np.empty((samples, model.nbody, 3)), np.empty((samples, model.nbody, 9))
@@ -134,7 +134,7 @@ def _motions(
         cdof[at], cdof_dot[at] = data.cdof, data.cdof_dot
     moved = _moved_by(model)[bodies]
     frame = rotation[:, bodies].reshape(samples, len(bodies), 3, 3).swapaxes(-1, -2)
-    # MuJoCo's spatial vectors are about the centre of mass of the whole tree, along the world's axes.
+    # MuJoCo's spatial vectors refer to the centre of mass of the kinematic tree and to the world's axes.
     offset = (place - centre[:, model.body_rootid])[:, bodies]
     axes = _seen_from(frame, offset, np.where(moved[:, :, None], cdof[:, None], 0))
     velocity = np.einsum("tbvk,tv->tbk", axes, qvel)
@@ -148,7 +148,7 @@ def _motions(
 
 
 def _seen_from(frame: np.ndarray, offset: np.ndarray, spatial: np.ndarray) -> np.ndarray:
-    """Spatial vectors (time, bodies, n, 6) about the tree's centre, as ones about bodies' origins, in their frames."""
+    """Return spatial vectors (time, bodies, n, 6), given about the tree's centre, about body origins in body frames."""
     turn, shift = spatial[..., :3], spatial[..., 3:]
     shift = shift + np.cross(turn, offset[:, :, None])
     inward = frame.swapaxes(-1, -2)
@@ -156,7 +156,7 @@ def _seen_from(frame: np.ndarray, offset: np.ndarray, spatial: np.ndarray) -> np
 
 
 def _moved_by(model: mujoco.MjModel) -> Bool[np.ndarray, "bodies nv"]:
-    """Whether each joint is between each body and the world."""
+    """Return for each body which joints are between it and the world."""
     moved = np.zeros((model.nbody, model.nv), bool)
     for body in range(1, model.nbody):
         moved[body] = moved[model.body_parentid[body]]
@@ -166,14 +166,14 @@ def _moved_by(model: mujoco.MjModel) -> Bool[np.ndarray, "bodies nv"]:
 
 
 def _cross(vector: np.ndarray) -> np.ndarray:
-    """Matrices of the cross product with vectors (..., 3) from the left."""
+    """Return the matrices of the cross product with vectors (..., 3) from the left."""
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape, 3)
 
 
 def _times_six(vector: np.ndarray) -> np.ndarray:
-    """Matrices that give I v from Ixx, Iyy, Izz, Ixy, Ixz, Iyz, for vectors v (..., 3)."""
+    """Return the matrices that map Ixx, Iyy, Izz, Ixy, Ixz, Iyz to I v, for vectors v (..., 3)."""
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
     rows = [x, zero, zero, y, z, zero, zero, y, zero, x, zero, z, zero, zero, z, zero, x, y]

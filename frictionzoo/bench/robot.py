@@ -1,4 +1,4 @@
-"""A robot's own model file, MJCF or URDF as its maker publishes it, as a bench."""
+"""Bench from the MJCF or URDF that a robot's manufacturer publishes."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -18,49 +18,49 @@ from frictionzoo.bench.template import Template
 from frictionzoo.core.errors import BenchError, ConfigError, MissingValueError, closest
 from frictionzoo.core.params import AUTO, LARGEST, Param, refuse_negative
 
-_OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters by which a law of bristles is told from others
+_OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters that only bristle models have
 _RANGES = {"torque_limit": "ranges of torque", "torque_low": "ranges of torque"}
 _RANGES |= dict.fromkeys(POSITIONS, "ranges of desired positions")
-_INSIDE = 1e-3  # share of the bounds' distance, in the optimiser's coordinate, by which a fit starts inside
+_INSIDE = 1e-3  # distance of a fit's start from its bounds, as a share of their range in the optimiser's coordinate
 
 
 class Robot(Bench):
-    """A robot in the air or on a table, from its own file.
+    """Bench of a robot with a fixed base, from its model file.
 
-    What the file says of armature, friction, damping and actuators is where an identification begins, and what is
-    known: a parameter whose `init` is None is taken from it. The base stands still, joints that are not chosen too;
-    contacts, limits and meshes are left out unless they are asked for. `notes` has a line for all that the file has and
-    the bench has not.
+    The file provides the known and initial values of armature, friction, damping and actuators: a parameter whose
+    `init` is None takes the file's value. Base and unselected joints are fixed. Contacts and limits are left out by
+    default; meshes are always left out.
 
     Attributes:
-        file: What was read.
-        notes: What was left out or changed, a line each.
+        file: The robot's file as read.
+        notes: Features of the file that were left out or changed, one line each.
         choices: The arguments `base`, `contacts`, `limits` and `others`.
 
     Args:
         mjcf: Path of the MJCF or URDF.
         joint: Names of joints, or regular expressions that match whole names; None for all with one degree of freedom.
-        actuator: The law that turns commands into torque; None for that of the file: a position controller for its
-            position actuators, a torque command for its motors.
-        params: As of `Bench`; `armature.init` and `delay.init` of None for those of the file, `armature.high` of 10.
-        base: `fixed`: a floating base is welded; `as_is`: it is refused.
+        actuator: Actuator law, which converts commands into torque; None for the file's: a position controller for
+            position actuators, a torque command for motors.
+        params: See `Bench`. `init` of `armature` and `delay` is None by default, which takes the file's value; `high`
+            of `armature` is 10.
+        base: `fixed` welds a floating base to the world; `as_is` refuses it.
         contacts: `leave_out` or `keep`.
-        limits: `leave_out` or `keep`, of joints.
-        others: `fixed`: joints that are not chosen stand at their reference position; `as_is`: they are refused.
-        ranges: `keep`: commands and torques end where `ctrlrange`, `forcerange` and `actuatorfrcrange` of the file do,
-            but for what the actuator law has an end of its own for; `leave_out`.
-        solreffriction: As of `Bench`.
-        second_order: As of `Bench`.
-        integrator: As of `Bench`.
-        payload: As of `Bench`.
+        limits: `leave_out` or `keep` the limits of joints and tendons.
+        others: `fixed` holds unselected joints at their reference position; `as_is` refuses them.
+        ranges: `keep` limits commands and torques to `ctrlrange`, `forcerange` and `actuatorfrcrange` of the file,
+            unless the actuator law states its limits; `leave_out` ignores them.
+        solreffriction: See `Bench`.
+        second_order: See `Bench`.
+        integrator: See `Bench`.
+        payload: See `Bench`.
         timestep: Simulation step [s]; None for the file's.
-        inertia: As of `Bench`.
-        gravity: As of `Bench`.
-        tie: As of `Bench`; of values that the file has different in joints of a group, the mean counts.
+        inertia: See `Bench`.
+        gravity: See `Bench`.
+        tie: See `Bench`. If the file's values differ within a group, the group starts at their mean.
 
     Raises:
-        BenchError: The file cannot be read, or has what can neither be simulated nor left out.
-        ConfigError: A parameter's section makes no sense, or has no value and the file has none.
+        BenchError: The file cannot be read, or has a feature that can neither be simulated nor left out.
+        ConfigError: A parameter's section is invalid, or neither the section nor the file has its value.
     """
 
     armature_high = 10.0
@@ -97,7 +97,7 @@ class Robot(Bench):
             raise ConfigError(f"bench.ranges={ranges}: no such choice; {closest(str(ranges), ('keep', 'leave_out'))}")
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
         self._known = _list_known(self.file) | (_list_ranges(self.file) if ranges == "keep" else {})
-        self._said: list[str] = []  # where the bench begins otherwise than the file
+        self._said: list[str] = []  # differences of initial values and ranges from the file
         actuator = self._with_ranges(actuator)
         more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
         more |= {"gravity": gravity, "second_order": second_order, "integrator": integrator}
@@ -110,7 +110,7 @@ class Robot(Bench):
         return Template.of(mjcf, self.file.root, self.file.joints)
 
     def _fill(self, params: Mapping[str, Param]) -> dict[str, Param]:
-        """The parameters with what the file says of those that have no value; what it lacks and may is left out."""
+        """Return the parameters with missing values from the file, without optional ones that the file lacks."""
         filled = dict[str, Param]()
         for name, param in params.items():
             if param.init is not None:
@@ -127,13 +127,13 @@ class Robot(Bench):
         return filled
 
     def _with_ranges(self, actuator: Actuator) -> Actuator:
-        """The law with the ends that the file states, but for those of which its own parameters say something."""
+        """Return the actuator law with the file's limits, except those that the law's parameters specify."""
         stated = [name for name in (*LIMITS, *POSITIONS) if name in self._known]
         own = actuator.params.get("torque_limit")
         if "torque_limit" in actuator.said and (own is None or own.init is not None):
             stated = [name for name in stated if name not in LIMITS]
         for name in stated:
-            if name not in actuator.dimensions and not isinstance(actuator, Force):  # whose commands are no positions
+            if name not in actuator.dimensions and not isinstance(actuator, Force):  # its commands are not positions
                 said = f"{_RANGES[name]} of the file are left out: {type(actuator).__name__} has no such parameters"
                 self._said.append(said)
         added = [name for name in stated if name in actuator.optional and name not in actuator.said]
@@ -145,7 +145,7 @@ class Robot(Bench):
         return other
 
     def _say_begun(self, param: Param) -> None:
-        """Note where a fit, or a rollout with the initial values, begins otherwise than the file."""
+        """Note each initial value that differs from the file's."""
         begun, stated = param.each("init", self.nv), self._known[param.name]
         moved = param.each("identify", self.nv) & ~np.isclose(begun, stated, rtol=1e-9, atol=0.0)
         for index in np.flatnonzero(moved):
@@ -155,14 +155,14 @@ class Robot(Bench):
             )
 
     def _begin(self, param: Param, values: Float[np.ndarray, "nv"]) -> Param:
-        """A parameter that begins with these values, the mean of a group's, and inside its bounds."""
+        """Return a parameter with these initial values, averaged within groups and moved inside its bounds."""
         bound = replace(param, init=0.0, low=-np.inf, high=np.inf, scale=1.0).for_joints(self.joints)
         groups, own = np.array(self.groups(bound)), np.array(param.members(self.nv))
         free = bound.each("identify", self.nv)[own]
         if param.name == "armature":
             values = np.where((values > 0) | ~bound.each("identify", self.nv), values, DEFAULTS["armature"]["init"])
         shared = values[own].astype(np.float64)
-        for group in set(groups[own][free]):  # known values stay as they are
+        for group in set(groups[own][free]):  # known values do not change
             shared[groups[own] == group] = shared[groups[own] == group].mean()
         limits = replace(param, init=param.low).for_joints(self.joints)
         low, high = (limits.to_coordinate(limits.each(side, self.nv)[own], np) for side in ("low", "high"))
@@ -171,12 +171,12 @@ class Robot(Bench):
         return replace(limits, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
-        """See `Bench.initial_friction`: frictionloss and damping that the file has, and bristles of its DC motors."""
+        """See `Bench.initial_friction`: the file's frictionloss and damping, and the bristles of its DC motors."""
         begun = {}
         for name, param in params.items():
             values = self._say_friction(name, params)
             said = values[param.members(self.nv)]
-            # A fit begins at 0 nowhere; what is known is 0 where the file has nothing.
+            # A fit never starts at 0. A known value is 0 if the file has none.
             if param.is_stated or np.isnan(said).all() or (param.is_identified and not np.nan_to_num(said).any()):
                 continue
             values = np.where(np.isnan(values), param.each("init", self.nv), values)
@@ -186,8 +186,8 @@ class Robot(Bench):
         return begun
 
     def _say_friction(self, name: str, params: Mapping[str, Param]) -> Float[np.ndarray, "nv"]:
-        """What the file says of a law's parameter; NaN where it says nothing."""
-        law, _, what = name.rpartition(".")  # of several laws, each has its own
+        """Return the file's values of a friction parameter, of shape (nv,); NaN without a value."""
+        law, _, what = name.rpartition(".")  # each part of a sum of models has its prefix
         said = {one: self.file.values[one] for one in ("frictionloss", "damping")}
         if {f"{law}.{other}".lstrip(".") for other in _OF_BRISTLES} <= params.keys():
             bristles = self.file.bristles
@@ -197,12 +197,12 @@ class Robot(Bench):
 
 
 def _section(given: Any) -> dict[str, Any]:
-    """A parameter's section, of a value that is known too."""
+    """Return a parameter's section; a plain value becomes the section of a known parameter."""
     return dict(given) if isinstance(given, Mapping) else {"init": given, "identify": False}
 
 
 def _list_known(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
-    """What the file says of parameters of the bench and of actuator laws, where it says it of every joint."""
+    """Return the file's values of bench and actuator parameters that it states for every joint."""
     known: dict[str, np.ndarray] = {"armature": file.values["armature"], "delay": file.delays}
     read = [actuator for actuator in file.actuators if actuator is not None]
     if len(read) == len(file.joints):
@@ -214,7 +214,7 @@ def _list_known(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
 
 
 def _list_ranges(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
-    """The ends of torques and of desired positions, where the file states any; a joint without has far ones."""
+    """Return the file's limits of torques and desired positions, if any; joints without a limit get distant ones."""
     known: dict[str, np.ndarray] = {}
     for ranges, low, high in ((file.forceranges, "torque_low", "torque_limit"), (file.ctrlranges, *POSITIONS)):
         if not np.isnan(ranges).all():
@@ -226,10 +226,10 @@ def _list_ranges(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
 
 
 def _read_actuator(source: str, file: RobotFile) -> Actuator:
-    """The law of the file's own actuators.
+    """Return the actuator law of the file's actuators.
 
     Raises:
-        BenchError: They have none, or several, or a joint has no actuator.
+        BenchError: They match no law or several laws, or a joint has no actuator.
     """
     kinds = {None if actuator is None else actuator.kind for actuator in file.actuators}
     if kinds == {"position"}:

@@ -1,4 +1,4 @@
-"""Options in the section of a bench, by their dotted names, as the command line has them after `bench.`."""
+"""Changes of options in a bench's section, by their dotted names without the prefix `bench.`."""
 
 import copy
 from collections.abc import Mapping
@@ -6,12 +6,12 @@ from typing import Any
 
 
 def put_options(section: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a bench's section with these options in place of its own.
+    """Return a bench's section with changed options.
 
     Args:
-        section: As `describe(bench)` or conf/bench has it; in it, a known parameter may be a number, in `params` or as
-            an argument of the actuator.
-        options: By dotted name, as in `{"actuator.params.kp.init": 15.0}`.
+        section: Section in the format of `describe(bench)` or conf/bench. A known parameter may be a number, in
+            `params` or as an argument of the actuator.
+        options: Values by dotted name, such as `{"actuator.params.kp.init": 15.0}`.
     """
     changed = copy.deepcopy(dict(section))
     for name, value in options.items():
@@ -32,7 +32,7 @@ def _descend(place: dict[str, Any], path: list[str]) -> dict[str, Any]:
 
 
 def _put_parameter(owner: dict[str, Any], name: str, what: str, value: Any) -> None:
-    """Put one entry of a parameter's section; a known value counts as a section with that `init`."""
+    """Set one entry of a parameter's section; a plain value becomes the section's `init`."""
     params = owner["params"] = dict(owner.get("params") or {})
     given = owner.pop(name) if name in owner else params.get(name, {})
     known = {} if isinstance(given, Mapping) else {"init": given}

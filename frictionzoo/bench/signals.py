@@ -1,4 +1,4 @@
-"""The signals of a recording that the actuator law and the friction law need besides state and command."""
+"""Signals of a recording that actuator law and friction model need in addition to state and command."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -17,10 +17,10 @@ _log = logging.getLogger(__name__)
 
 
 def pair_all(dataset: Dataset, joints: Sequence[str]) -> Dataset:
-    """Return a data set whose logs have their columns in the order of the joints, and tell what is not plain of it.
+    """Return a data set with columns in the order of the joints, and log each reordering.
 
     Raises:
-        LogError: As `pair_log`.
+        LogError: See `pair_log`.
     """
     lines = [line for log in dataset.logs for line in say_order(log.columns, _arrange(log, joints))]
     for line in dict.fromkeys(lines):
@@ -30,15 +30,15 @@ def pair_all(dataset: Dataset, joints: Sequence[str]) -> Dataset:
 
 
 def pair_log(log: Log, joints: Sequence[str]) -> Log:
-    """Return a log with its columns in the order of the joints, each signal's by the names in its headers.
+    """Return a log with columns in the order of the joints, by the names in each signal's headers.
 
     Raises:
-        LogError: Headers name some of the joints and not all, one twice, or others.
+        LogError: Headers name only some of the joints, a joint twice, or unknown joints.
     """
     found = _arrange(log, joints)
     orders = {signal: list(order) for signal, (order, _) in found.items()}
     if "qpos" in orders:
-        orders.setdefault("qvel", orders["qpos"])  # estimated, joint by joint
+        orders.setdefault("qvel", orders["qpos"])  # estimated from qpos
     values = {
         signal: getattr(log, signal)[:, orders[signal]] for signal in ("qpos", "qvel", "ctrl") if signal in orders
     }
@@ -47,16 +47,16 @@ def pair_log(log: Log, joints: Sequence[str]) -> Log:
 
 
 def _arrange(log: Log, joints: Sequence[str]) -> dict[str, Pairing]:
-    """The columns of each joint of the signals that a log has; a velocity that was estimated has none."""
+    """Return the columns of each joint for the recorded signals; an estimated velocity has none."""
     held = {"qpos", "ctrl", *log.extras, *(() if log.velocity_estimated else ("qvel",))}
     return arrange(log.name, {signal: of for signal, of in log.columns.items() if signal in held}, joints)
 
 
 def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
-    """What the actuator law of so many joints needs besides the command, by name.
+    """Return the inputs of the actuator law of `nv` joints, by name.
 
     Raises:
-        BenchError: The recording lacks one, or has another number of columns of it, or values that are not finite.
+        BenchError: An input is missing, has a wrong number of columns, or is not finite.
     """
     for name in actuator.inputs:
         if name not in log.extras and name not in actuator.optional_inputs:
@@ -69,25 +69,25 @@ def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.nda
 
 
 def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
-    """What the friction law looks at besides the state, as `Bench.observed` says, by name.
+    """Return the inputs of the friction model, see `Bench.observed`, by name.
 
     Raises:
-        BenchError: The recording has another number of columns of one, or values that are not finite.
+        BenchError: An input has a wrong number of columns, or is not finite.
     """
     return _pick(log, observed, nv)
 
 
 def say_lacking(dataset: Dataset, wanted: Mapping[str, float], whose: str, otherwise: str = "") -> None:
-    """Tell what no recording of a data set has, and is taken as the number beside its name.
+    """Log each signal that no recording of a data set contains, and its replacement value.
 
     Args:
         dataset: The recordings.
-        wanted: Signals by name.
-        whose: The law that looks at them.
-        otherwise: What else a user may do where some have one and others do not.
+        wanted: Replacement value of each signal, by name.
+        whose: Model that uses the signals.
+        otherwise: Further advice for the error message.
 
     Raises:
-        BenchError: Some have one and others do not.
+        BenchError: Only some recordings contain a signal.
     """
     for name, value in wanted.items():
         having = [log.name for log in dataset.logs if name in log.extras]
@@ -102,7 +102,7 @@ def say_lacking(dataset: Dataset, wanted: Mapping[str, float], whose: str, other
 
 
 def _pick(log: Log, wanted: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
-    """Signals by name, each what the recording has of it, or else the number that it has here."""
+    """Return signals by name: the recorded signal, or else the constant in `wanted`."""
     return {
         name: _for_each_joint(log, name, nv) if name in log.extras else np.full(log.qpos.shape, value)
         for name, value in wanted.items()

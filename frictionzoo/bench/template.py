@@ -1,4 +1,4 @@
-"""The MJCF around a drive, as a template: read, searched for joints, written with values, and with a part left out."""
+"""MJCF template around a drive, which is read, checked, changed, and written with values."""
 
 import copy
 import xml.etree.ElementTree as ET
@@ -20,19 +20,19 @@ INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.m
 _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
 _NO_ACTUATORS = {"default", "mesh", "texture", "material", "joint", "geom", "site", "camera", "light", "pair"}
 _NO_ACTUATORS |= {"equality", "tendon"}
-"""What of an MJCF's defaults does not act on actuators."""
+"""Elements of an MJCF's defaults that do not affect actuators."""
 _GEOMETRY = {"axis", "pos", "quat", "euler", "axisangle", "xyaxes", "zaxis", "size", "fromto", "mass", "diaginertia"}
 _KEPT = {"mujoco", "worldbody", "body", "compiler"}
 
 
 class Template:
-    """An MJCF that has neither friction nor armature nor actuator at the identified joints.
+    """MJCF without friction, armature or actuators at the identified joints.
 
-    Arguments are those of `Bench`; `joints` are the names of the identified joints in MuJoCo's order.
+    The arguments are those of `Bench`; `joints` are the names of the identified joints in MuJoCo's order.
 
     Raises:
-        BenchError: It cannot be read, does not have these joints, or has an actuator.
-        ConfigError: The step is none.
+        BenchError: The MJCF cannot be read, lacks these joints, or has an actuator.
+        ConfigError: The step is not positive.
     """
 
     def __init__(self, source: str, joint: str | int | Sequence[str | int] | None, timestep: float | None) -> None:
@@ -42,29 +42,29 @@ class Template:
             if not timestep > 0:
                 raise ConfigError(f"bench.timestep={timestep}; expected a positive number of seconds, or null")
             _section(self._root, "option")
-            for option in self._root.findall("option"):  # of several, the last has the last word
+            for option in self._root.findall("option"):  # the last of several takes effect
                 option.set("timestep", in_full(timestep))
         self.joints: tuple[str, ...] = self._choose_joints(joint)
         self._refuse_clashes()
 
     @classmethod
     def of(cls, source: str, root: ET.Element, joints: Sequence[str]) -> "Template":
-        """One that was made from the file `source` already, with these joints identified."""
+        """Return a template of the MJCF `root`, already converted from the file `source`, with these joints."""
         made = object.__new__(cls)
         made.source, made._root, made.joints = source, root, tuple(joints)
         return made
 
     @property
     def has_radians(self) -> bool:
-        """Whether positions of hinges are in radians: MuJoCo's default is degrees."""
+        """Whether hinge positions are in radians instead of MuJoCo's default, degrees."""
         units = [compiler.get("angle") for compiler in self._root.findall("compiler") if compiler.get("angle")]
         return units[-1:] == ["radian"]
 
     def with_inertia(self, inertia: Mapping[str, Sequence[float | int]]) -> "Template":
-        """The same with other link inertias: ten parameters of each body, by name, as `bench.inertia` has them.
+        """Return the template with other link inertias: ten parameters of each body by name, as in `bench.inertia`.
 
         Raises:
-            BenchError: No body of that name, not ten numbers, or no body of matter has them.
+            BenchError: A body does not exist, or its parameters are not ten or not physically consistent.
         """
         other = copy.copy(self)
         other._root = copy.deepcopy(self._root)
@@ -81,10 +81,10 @@ class Template:
         return other
 
     def with_gravity(self, gravity: Sequence[float | int] | None) -> "Template":
-        """The same with another gravity, in the frame of the world [m/s^2]; None for its own.
+        """Return the template with another gravity in the world frame [m/s^2]; None changes nothing.
 
         Raises:
-            ConfigError: Not three finite numbers.
+            ConfigError: The gravity is not three finite numbers.
         """
         if gravity is None:
             return self
@@ -99,10 +99,10 @@ class Template:
         return other
 
     def with_integrator(self, integrator: str | None) -> "Template":
-        """The same with another integrator; None for its own.
+        """Return the template with another integrator; None changes nothing.
 
         Raises:
-            ConfigError: It is none that is simulated.
+            ConfigError: The integrator is not supported.
         """
         if integrator is None:
             return self
@@ -118,7 +118,7 @@ class Template:
     def write(
         self, joints: Sequence[Mapping[str, str]], actuators: Sequence[Mapping[str, str]], comments: Sequence[str] = ()
     ) -> str:
-        """The MJCF with these attributes, of each identified joint and of one actuator each, and comments on top."""
+        """Return the MJCF with comments at the top and the attributes of each identified joint and its actuator."""
         root = copy.deepcopy(self._root)
         found = {element.get("name"): element for element in root.findall("./worldbody//joint")}
         for name, attributes in zip(self.joints, joints, strict=True):
@@ -129,14 +129,14 @@ class Template:
         return write_xml(root)
 
     def compile(self, text: str, constraint: bool) -> mujoco.MjModel:
-        """The compiled model of what `write` gave.
+        """Return the compiled model of the text from `write`.
 
         Raises:
-            BenchError: MuJoCo refuses it, or an option of it is not supported.
+            BenchError: MuJoCo refuses the MJCF, or one of its options is not supported.
         """
         try:
             model = mujoco.MjModel.from_xml_string(text)
-        except (ValueError, RuntimeError) as error:  # MuJoCo has both for files that it does not take
+        except (ValueError, RuntimeError) as error:  # MuJoCo raises both for invalid files
             self._fail(f"MuJoCo does not compile it ({' '.join(str(error).split())}); correct the MJCF")
         if model.nv != len(self.joints):
             self._fail(
@@ -151,10 +151,10 @@ class Template:
         return model
 
     def refuse_unfit(self, model: mujoco.MjModel, moved: bool) -> None:
-        """Refuse a drive that is disabled or has friction, and, if an offset moves it, what would not move along.
+        """Refuse disabled actuators, dry friction and, with a position offset, features that it would not shift.
 
         Raises:
-            BenchError: See above.
+            BenchError: The compiled model has such a feature.
         """
         if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION or model.opt.disableactuator & 1:
             flags = "flag actuation or actuatorgroupdisable"
@@ -168,8 +168,8 @@ class Template:
             )
 
     def _refuse_other_references(self, model: mujoco.MjModel) -> None:
-        """What is given in joint positions and would not move along with a position offset."""
-        # Of a spring that is no straight line, the largest coefficient.
+        """Refuse references, limits and springs, which a position offset would not shift."""
+        # For a nonlinear spring, the largest coefficient.
         springs = np.abs(np.column_stack([model.jnt_stiffness, model.jnt_stiffnesspoly])).max(axis=1)
         given = {"ref": model.qpos0 != 0, "range": model.jnt_limited > 0, "stiffness": springs > 0}
         for name, having in given.items():
@@ -187,10 +187,10 @@ class Template:
         raise BenchError(f"{self.source}: {message}") from None
 
     def joint_type(self, model: mujoco.MjModel) -> str:
-        """`hinge` or `slide`.
+        """Return the type of the joints, `hinge` or `slide`.
 
         Raises:
-            BenchError: The joints are of several types, or of another.
+            BenchError: The joints have different types, or an unsupported type.
         """
         types = {int(kind) for kind in model.jnt_type}
         if len(types) != 1 or not types <= set(map(int, _JOINT_TYPES)):
@@ -198,10 +198,10 @@ class Template:
         return _JOINT_TYPES[mujoco.mjtJoint(types.pop())]
 
     def find_body(self, model: mujoco.MjModel, name: str) -> int:
-        """Index of the body that carries payloads.
+        """Return the index of the body that carries payloads.
 
         Raises:
-            BenchError: There is none of that name, or no joint moves it.
+            BenchError: The body does not exist, or no joint moves it.
         """
         bodies = [model.body(index).name for index in range(1, model.nbody)]
         if name not in bodies:
@@ -212,7 +212,7 @@ class Template:
         return index
 
     def only(self, joints: Sequence[str]) -> "Template":
-        """The same without the branches of other joints: bodies that those move, and what hangs on them."""
+        """Return the template without the bodies that other joints move."""
         other = copy.copy(self)
         other._root, other.joints = copy.deepcopy(self._root), tuple(joints)
         for parent in list(other._root.iter()):
@@ -223,9 +223,9 @@ class Template:
         return other
 
     def simpler(self) -> Iterator[tuple[str, "Template"]]:
-        """What it could lack, one attribute or element at a time, in words, and the template without it.
+        """Yield the template without one attribute or element, with a description of the removed part.
 
-        Bodies and the identified joints stay. Where things are, and how large, comes last.
+        Bodies and identified joints are never removed. Positions and sizes come last.
         """
         elements = list(self._root.iter())
         attributes = [(element, name) for element in elements for name in element.attrib if name not in _NAMING]
@@ -263,7 +263,7 @@ class Template:
                 self._fail(f"no joint {name}; {closest(name, filter(None, found))}; set bench.joint")
         ordered = [name for name in found if name in wanted]
         if wanted != ordered:
-            # The recording's columns follow bench.joint: another order would swap the joints without a word.
+            # The recording's columns follow bench.joint: another order would silently swap the joints.
             raise BenchError(
                 f"bench.joint=[{', '.join(wanted)}]: expected each joint once in the order of {self.source}, "
                 f"[{', '.join(ordered)}]; change it, and data.columns with it"
@@ -306,7 +306,7 @@ def _describe(element: ET.Element) -> str:
 
 
 def _inertial(name: str, parameters: Sequence[float | int]) -> Iterator[tuple[str, float | np.ndarray]]:
-    """What an <inertial> says of a body with these ten parameters."""
+    """Yield the attributes of an <inertial> for ten parameters of a body."""
     numbers = np.array(parameters, np.float64)
     if numbers.shape != (10,) or not is_consistent(numbers):
         raise BenchError(
@@ -323,5 +323,5 @@ def _section(root: ET.Element, tag: str) -> ET.Element:
 
 
 def in_full(value: float | np.floating) -> str:
-    """A number as an MJCF has it, at full precision."""
+    """Return a number as MJCF text at full precision."""
     return repr(float(value))

@@ -1,4 +1,4 @@
-"""Torque of a bench's actuators: at recorded states, and the largest at standstill."""
+"""Torque of a bench's actuators, at recorded states and the largest at standstill."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,20 +10,20 @@ from jaxtyping import Float
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.log import Log
 
-_FAR = 1e6  # rad, m or the command's own unit: a command beyond all that a drive can follow
-_SAME = 1e-3  # share by which the torque of twice that command may differ where the actuator limits it
+_FAR = 1e6  # command [rad, m or the command's unit] that saturates any actuator with a limit
+_SAME = 1e-3  # largest relative change of a saturated torque when the command is doubled
 
 
 def actuator_torque(
     bench: Bench, log: Log, values: Mapping[str, Any], qvel: Float[np.ndarray, "time nv"] | None = None
 ) -> Float[np.ndarray, "time nv"]:
-    """Return the actuators' torque at recorded states [N m or N], with what `enable` lets through.
+    """Return the actuators' torque at recorded states [N m or N], times `enable` if recorded.
 
     Args:
-        bench: The test stand.
-        log: Accepted by the bench.
-        values: Of the bench's parameters, each of shape (nv,); with `delay` [s], commands act late.
-        qvel: Velocities in place of the recorded ones [rad/s or m/s].
+        bench: The bench.
+        log: Log accepted by the bench.
+        values: Values of the bench's parameters, each of shape (nv,); `delay` [s] delays the commands.
+        qvel: Velocities that replace the recorded ones [rad/s or m/s].
     """
     qvel, delay = log.qvel if qvel is None else qvel, values.get("delay")
     log = log if delay is None else _late(log, bench.actuator.commands, np.broadcast_to(delay, bench.nv))
@@ -36,14 +36,14 @@ def actuator_torque(
 def stall_torque(
     bench: Bench, values: Mapping[str, Any], inputs: Mapping[str, Any], qpos: Float[np.ndarray, "nv"]
 ) -> Float[np.ndarray, "nv"]:
-    """Return the largest torque of each actuator at standstill [N m or N]; infinite where nothing limits it.
+    """Return the largest torque of each actuator at standstill [N m or N]; infinite without a limit.
 
-    Of the two directions, the smaller one counts.
+    The value is the smaller one of both directions.
 
     Args:
-        bench: The test stand.
-        values: Of the bench's parameters, each of shape (nv,).
-        inputs: What the actuator law needs besides the command, each of shape (nv,).
+        bench: The bench.
+        values: Values of the bench's parameters, each of shape (nv,).
+        inputs: Inputs of the actuator law in addition to the command, each of shape (nv,).
         qpos: Position [rad or m].
     """
     still, affine = np.zeros(bench.nv), bench.actuator.affine(values)
@@ -58,7 +58,7 @@ def stall_torque(
 
 
 def _late(log: Log, commands: tuple[str, ...], delay: Float[np.ndarray, "nv"]) -> Log:
-    """Return the log with each command held until the next and shifted by the delay of its joint [s]."""
+    """Return the log with each command delayed by the delay of its joint [s], rounded up to whole samples."""
     samples = np.arange(log.samples)[:, None] - np.ceil(np.maximum(delay, 0) / log.timestep - 1e-9).astype(int)
     rows, columns = np.maximum(samples, 0), np.arange(len(delay))
     late = {name: log.inputs[name][rows, columns] for name in commands}

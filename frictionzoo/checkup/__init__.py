@@ -1,4 +1,4 @@
-"""The check-up of recordings and of the bench for them, before a fit."""
+"""Diagnostics of recordings and their bench before a fit."""
 
 from frictionzoo.checkup.findings import CHECKUPS, Finding
 from frictionzoo.checkup.recordings import check_up, find_all

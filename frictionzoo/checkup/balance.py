@@ -1,10 +1,10 @@
-"""The torque that a bench's actuator gives at recorded states, beside the torque that its links need for the motion.
+"""Torque balance of a recording: actuator torque against the torque that the links need for the motion.
 
     torque = share * links(qpos, qvel, qacc) + inertia * qacc + viscous * qvel + dry * sign(qvel) + offset
 
-holds over a recording, all signals behind one low-pass, with a share of 1 if signs, units, gears and the order of the
-joints are those of the bench. The torque is that of the actuator law at initial values, what links need is MuJoCo's
-inverse dynamics of the bench without armature. Each joint is a linear regression; no simulation is needed.
+All signals pass one low-pass filter. The share is 1 if signs, units, gears and the order of the joints match the bench.
+The torque comes from the actuator law at initial values, the links' torque from MuJoCo's inverse dynamics of the bench
+without armature. Each joint is a linear regression; no simulation is needed.
 
 Source: the inverse dynamic model of M. Gautier, "Dynamic identification of robots with power model", ICRA 1997.
 """
@@ -23,30 +23,30 @@ from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import smooth
 
-BANDWIDTH = 10.0  # Hz, up to which torque is compared; at most a tenth of the sample rate
+BANDWIDTH = 10.0  # Hz, cutoff of the low-pass; at most a tenth of the sample rate
 ORDER = 2
-EDGE = 0.5  # s at either end that the filter spoils, and in which delayed torques lie
-LONGEST = 20_000  # samples that are looked at
-ROWS = 1000  # of the regression
-SLOW = 0.05  # share of the top speed under which dry friction may hold the joint
-BOTH_WAYS = 0.1  # share of the rows that move either way at the least
-FEW = 50  # rows; fewer tell nothing
-CORRELATED = 15.0  # neighbouring rows that are as good as one
-FARTHEST, FINEST = 0.5, 0.002  # s, by which a torque is delayed either way, and in steps of which
-ALIKE = 1e-6  # share of what links need that their inertia alone does not explain, of a joint without a load
+EDGE = 0.5  # s ignored at either end: affected by the filter, and needed for delayed torques
+LONGEST = 20_000  # samples used
+ROWS = 1000  # of the regression, about
+SLOW = 0.05  # share of the top speed below which dry friction may hold the joint
+BOTH_WAYS = 0.1  # smallest share of the rows in either direction
+FEW = 50  # rows needed
+CORRELATED = 15.0  # neighbouring rows that count as one independent row
+FARTHEST, FINEST = 0.5, 0.002  # s, largest delay of a torque in either direction, and smallest step between delays
+ALIKE = 1e-6  # share of the links' torque not explained by inertia, below which a joint counts as unloaded
 
 
 class Balance(NamedTuple):
-    """Filtered signals of one recording, rows spread over it.
+    """Filtered signals of one recording, in rows spread evenly over it.
 
     Attributes:
-        torque: Of the actuators [N m or N].
-        links: What links, springs and dampers of the bench need [N m or N].
-        qvel: [rad/s or m/s].
-        qacc: [rad/s^2 or m/s^2].
-        rows: Index of each row's sample.
-        when: Its time [s].
-        whole: Torque in all samples [N m or N].
+        torque: Actuator torque [N m or N].
+        links: Torque that links, springs and dampers of the bench need [N m or N].
+        qvel: Velocity [rad/s or m/s].
+        qacc: Acceleration [rad/s^2 or m/s^2].
+        rows: Sample index of each row.
+        when: Time of each row [s].
+        whole: Actuator torque in all samples [N m or N].
         timestep: Sample interval [s].
     """
 
@@ -61,16 +61,16 @@ class Balance(NamedTuple):
 
 
 class Explained(NamedTuple):
-    """How a joint's torque is explained.
+    """Regression of a joint's torque.
 
     Attributes:
-        left: Share of the torque's variance that is not.
-        share: What the torque is of that which links need; NaN where that is nothing, or not to be told from inertia.
-        error: Its standard error.
-        inertia: Of the armature, with the links' where `share` is NaN [kg m^2 or kg].
-        inertia_error: Its standard error.
-        links: Share of the torque's variance that what links need explains beyond inertia and friction.
-        acceleration: That of the inertia under the largest torque [rad/s^2 or m/s^2].
+        left: Unexplained share of the torque's variance.
+        share: Factor on the links' torque; NaN if that is constant or explained by acceleration alone.
+        error: Standard error of `share`.
+        inertia: Armature, including the links' inertia if `share` is NaN [kg m^2 or kg].
+        inertia_error: Standard error of `inertia`.
+        links: Share of the torque's variance that the links' torque explains beyond inertia and friction.
+        acceleration: Acceleration of `inertia` under the largest torque [rad/s^2 or m/s^2].
     """
 
     left: float
@@ -85,24 +85,24 @@ class Explained(NamedTuple):
 def commanded_torque(
     log: Log, bench: Bench, qvel: Float[np.ndarray, "time nv"] | None = None
 ) -> Float[np.ndarray, "time nv"]:
-    """Return the actuators' torque at recorded states [N m or N], with initial values and commands that act at once.
+    """Return the actuators' torque at recorded states [N m or N], with initial values and without delay.
 
     Args:
-        log: Accepted by the bench.
+        log: Recording that the bench has accepted.
         bench: The test stand.
-        qvel: Velocities in place of the recorded ones [rad/s or m/s].
+        qvel: Velocities that replace the recorded ones [rad/s or m/s].
     """
     values = {name: value for name, value in bench.initial_values().items() if name != "delay"}
     return actuator_torque(bench, log, values, qvel)
 
 
 def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
-    """Both sides of a recording's torque balance; None where it is too short to filter.
+    """Return a recording's torque balance; None if it is too short to filter or a value is not finite.
 
     Args:
-        log: Accepted by the bench.
+        log: Recording that the bench has accepted.
         bench: The test stand.
-        model: It compiled, without a friction constraint; the log's load is put into it.
+        model: The bench compiled without a friction constraint; the log's load is put into it.
     """
     log = log.between(0, LONGEST, "start") if log.samples > LONGEST else log
     cutoff = min(BANDWIDTH, 0.1 / log.timestep)
@@ -124,7 +124,7 @@ def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
 
 
 def explain(found: Balance, joint: int) -> Explained | None:
-    """The regression of a joint's torque; None where the joint moves too little, or one way, for it."""
+    """Fit the regression of a joint's torque; None if the joint moves too little or in one direction."""
     moving, columns = _passive(found, joint)
     torque, links = found.torque[moving, joint], found.links[moving, joint]
     forward = float(np.mean(found.qvel[moving, joint] > 0))
@@ -144,7 +144,7 @@ def explain(found: Balance, joint: int) -> Explained | None:
 
 
 def mismatch(found: Balance) -> Float[np.ndarray, "nv"]:
-    """Share of each joint's torque that is not explained if the links need what the bench says; 0 where none moves."""
+    """Return the unexplained variance share of each joint's torque with `share` fixed at 1; 0 if too few rows move."""
     left = np.zeros(found.torque.shape[1])
     for joint in range(len(left)):
         moving, columns = _passive(found, joint)
@@ -159,12 +159,12 @@ def mismatch(found: Balance) -> Float[np.ndarray, "nv"]:
 def delayed(
     found: Balance, joints: Sequence[int], part: slice
 ) -> tuple[Float[np.ndarray, "lags"], Float[np.ndarray, "lags"]]:
-    """What is left of the torque of joints if it acts late, for each of many lags [s]: the mean of their shares.
+    """Return lags [s] of the torque, and for each the unexplained variance share, mean over joints.
 
     Args:
         found: The balance.
-        joints: Which of them.
-        part: Rows that are looked at.
+        joints: Indices of the joints.
+        part: Rows to use.
     """
     rows = found.rows[part]
     step = max(1, round(FINEST / found.timestep))
@@ -189,13 +189,13 @@ def delayed(
 
 
 def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, "rows rank"]:
-    """An orthonormal basis of what columns span."""
+    """Return an orthonormal basis of the column space."""
     basis, sizes, _ = np.linalg.svd(columns / np.maximum(np.abs(columns).max(axis=0), 1e-300), full_matrices=False)
     return basis[:, sizes > 1e-9 * sizes.max()]
 
 
 def _passive(found: Balance, joint: int) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "moving 4"]]:
-    """Rows in which a joint moves, and in them what inertia and friction are factors of."""
+    """Return which rows move a joint, and the regression columns of inertia and friction in these rows."""
     speed = np.abs(found.qvel[:, joint])
     moving = speed > SLOW * np.quantile(speed, 0.99)
     qvel, qacc = found.qvel[moving, joint], found.qacc[moving, joint]
@@ -205,7 +205,7 @@ def _passive(found: Balance, joint: int) -> tuple[Bool[np.ndarray, "rows"], Floa
 def _regress(
     columns: Float[np.ndarray, "rows n"], torque: Float[np.ndarray, "rows"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], float]:
-    """Least squares: values, standard errors, and the share of the variance that is left."""
+    """Solve least squares; return values, standard errors and the unexplained share of the variance."""
     size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     scaled = columns / size
     values = np.linalg.lstsq(scaled, torque, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""What a command says alone, and by the work that it does."""
+"""Diagnostics of a command: its values, and the work that it does."""
 
 from collections.abc import Iterator
 
@@ -11,16 +11,16 @@ from frictionzoo.checkup.findings import Said, turn
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import Signal
 
-SATURATED = 0.2  # share of a command's samples at the ends of its range that is told, if it is no sequence of steps
-PAST = 0.1  # share of a command's range by which the position passes it if the command is cut off
-FAR_PAST = 0.5  # the same of a sequence of steps, after which a position may swing
-LEVELS, HELD = 10, 0.9  # values that hold this share of the samples: such a command is a sequence of steps
-OPPOSED = 0.0  # share of the work that a command exchanges with the drive from which on it takes energy
-CARRIED = -0.5  # the same of a joint that others move, from which on it is told: it may brake what they do
+SATURATED = 0.2  # share of samples at the ends of the range above which a command may be clipped
+PAST = 0.1  # overshoot of the position beyond a clipped command's range, as a share of that range
+FAR_PAST = 0.5  # the same for a sequence of steps, after which a position may swing
+LEVELS, HELD = 10, 0.9  # a command is a sequence of steps if this many values make up this share of the samples
+OPPOSED = 0.0  # net work share below which a command takes energy from the drive
+CARRIED = -0.5  # the same for a joint that other joints move, and that its actuator may brake
 
 
 def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None) -> Iterator[tuple[str, bool, str]]:
-    """What the command alone says, and beside the position where that is to follow it."""
+    """Find a constant or clipped command; `follows` is the position that should follow it, None for none."""
     low, high = float(ctrl.min()), float(ctrl.max())
     if low == high:
         yield (
@@ -29,12 +29,12 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
             f"ctrl{of} is constant, {low:.4g}: the motion contains little information; check data.columns.ctrl",
         )
         return
-    # Resampling rounds levels, and puts a few values between them.
+    # Resampling rounds levels and adds values between them.
     share = np.round((ctrl - low) / (high - low), 6)
     ends = float(np.mean((share == 0) | (share == 1)))
     _, counts = np.unique(share, return_counts=True)
     steps = np.sort(counts)[-LEVELS:].sum() > HELD * len(ctrl)
-    # A position that is told to rest at two ends does not go far beyond them.
+    # A position commanded to rest at two ends does not go far beyond them.
     passed = 1.0 if follows is None else max(low - follows.min(), follows.max() - high) / (high - low)
     if ends > SATURATED and passed > PAST and (not steps or (follows is not None and passed > FAR_PAST)):
         yield (
@@ -46,7 +46,7 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
 
 
 def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Said]:
-    """A command that takes energy; of a joint that others move and that gravity may drive, that is only doubtful."""
+    """Find a command that takes energy from the drive; uncertain if other joints move this one."""
     if not takes_energy(bench, joint, share):
         return
     took = f"ctrl{of} takes energy from the drive ({100 * share:.0f} % of the energy that they exchange)"
@@ -68,7 +68,7 @@ def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Said
 
 
 def takes_energy(bench: Bench, joint: int, share: float) -> bool:
-    """Whether a command takes more energy than it may: one that moves its joint alone takes none."""
+    """Return whether a command takes more energy than plausible: none if no other joint moves its joint."""
     return share < (OPPOSED if _is_alone(bench, joint) else CARRIED)
 
 
@@ -77,11 +77,11 @@ def _is_alone(bench: Bench, joint: int) -> bool:
 
 
 def work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
-    """Net work that the commands did on each joint, as a share of what they exchanged.
+    """Return the net work of the commands on each joint, as a share of the energy that they exchange.
 
-    The actuator's torque with initial values, its damping left out, as if the joint stood still. Over a recording,
-    friction and damping take what the commands give, but for what the drive stores between its first and its last
-    state; so the net work is not negative, however late the drive follows, up to half a period.
+    The actuator's torque is taken at zero velocity, without its damping, at initial values. Over a recording, friction
+    and damping dissipate the work, except for the energy stored between first and last state. The net work is
+    therefore not negative, however late the drive follows, up to half a period.
     """
     power = commanded_torque(log, bench, np.zeros_like(log.qvel)) * log.qvel
     return power.sum(axis=0) / np.maximum(np.abs(power).sum(axis=0), 1e-300)

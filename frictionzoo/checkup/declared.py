@@ -1,4 +1,4 @@
-"""The units that a data set is said to have, beside what the bench's joints and actuators take."""
+"""Diagnostics of declared units: do they suit the bench's joints and actuators?"""
 
 from collections.abc import Iterator
 
@@ -11,12 +11,12 @@ UNITS = {
     **dict.fromkeys(("m", "mm", "um"), "slide"),
     **dict.fromkeys(("Nm", "mNm", "N", "A", "mA", "V", "mV"), "effort"),
 }
-"""What a unit is of; others tell nothing, such as the factor of a raw register."""
+"""Quantity of each unit; other units, such as the factor of a raw register, are not checked."""
 MEANS = {"hinge": "angles", "slide": "lengths"}
 
 
 def check_declared(dataset: Dataset, bench: Bench, to_position: bool) -> Iterator[Finding]:
-    """Lengths on a hinge, angles on a slide, and commands that the actuator law does not take."""
+    """Find lengths on a hinge, angles on a slide, and commands that the actuator law does not accept."""
     said: dict[str, str] = {}
     for log in dataset.logs:
         said |= log.units

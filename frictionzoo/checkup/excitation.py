@@ -1,4 +1,4 @@
-"""Whether recordings that train move a joint both ways, and at more than one speed."""
+"""Diagnostics of excitation: do training recordings move each joint in both directions and at several speeds?"""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,13 +8,13 @@ from frictionzoo.bench import Bench
 from frictionzoo.checkup.findings import Finding
 from frictionzoo.core.log import Log
 
-MOVING = 0.05  # share of the top speed from which on a joint moves
-ONE_WAY = 0.01  # share of the moving samples that go the other way, below which a joint does not reverse
-ONE_SPEED = 1.5  # times by which the fastest tenth of the moving samples is at least faster than the slowest
+MOVING = 0.05  # share of the top speed above which a joint moves
+ONE_WAY = 0.01  # share of moving samples in the rarer direction below which a joint does not reverse
+ONE_SPEED = 1.5  # smallest ratio of the 90 % to the 10 % quantile of the speed of moving samples
 
 
 def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:
-    """Joints that never reverse, and joints that move at one speed."""
+    """Find joints that never reverse or that move at one speed."""
     for joint, name in enumerate(bench.joints):
         of = f" of {name}" if bench.nv > 1 else ""
         velocity = np.concatenate([log.qvel[:, joint] for log in logs])

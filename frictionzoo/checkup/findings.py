@@ -1,4 +1,4 @@
-"""What a check-up finds: of which kind, how sure, in words; and what becomes of it."""
+"""Findings of the diagnostics, their repairs, and their conversion to warnings or errors."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -6,17 +6,17 @@ from typing import Any, NamedTuple
 from frictionzoo.core.errors import ConfigError, LogError, closest
 
 CHECKUPS = ("strict", "warn")
-"""What becomes of what is certainly wrong: it is refused, or told as all that is only likely is."""
+"""Treatment of certain faults: `strict` refuses them, `warn` reports them like likely ones."""
 
 
 class Repair(NamedTuple):
-    """An option that mends what a finding says.
+    """An option that repairs a finding.
 
     Attributes:
-        option: Its name.
-        value: Its new value, or the factor of the present one.
-        joint: Index of the joint whose entry it is; None for all joints.
-        is_factor: Whether `value` is a factor of the present value.
+        option: Name of the option.
+        value: Its new value, or a factor on the current one.
+        joint: Index of the joint whose entry changes; None for all joints.
+        is_factor: Whether `value` is a factor.
     """
 
     option: str
@@ -26,15 +26,15 @@ class Repair(NamedTuple):
 
 
 Said = tuple[str, bool, str] | tuple[str, bool, str, tuple[Repair, ...]]
-"""Kind, certainty, text and repairs of a finding, of whichever recording and joint."""
+"""Kind, certainty, text and repairs of a finding, without recording and joint."""
 
 
 class Doubt(NamedTuple):
-    """A sentence on what is likely to be wrong, with the options that mend it.
+    """A warning about a likely fault, with its repairs.
 
     Attributes:
         text: The sentence.
-        repairs: All of them are needed; empty where nobody but the user can tell.
+        repairs: Options that are all needed; empty if the user has to decide.
     """
 
     text: str
@@ -42,15 +42,15 @@ class Doubt(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Something that speaks against a recording, or against the bench that it is to be simulated on.
+    """A fault of a recording, or of its bench.
 
     Attributes:
-        kind: What it is, the same in all recordings.
-        certain: Whether it cannot be right; else it is only likely to be wrong.
-        text: A sentence: what came, what was expected, and the option that mends it.
-        log: Name of the recording; empty where it is in all of them together.
-        joint: Name of the joint; empty where it is of none in particular.
-        repairs: Options that mend it, all of them; empty where `text` leaves a choice.
+        kind: Kind of fault, the same in all recordings.
+        certain: Whether the fault is certain; else it is likely.
+        text: A sentence: value, expected value, and the option that repairs it.
+        log: Name of the recording; empty for all recordings together.
+        joint: Name of the joint; empty for no joint in particular.
+        repairs: Options that are all needed; empty if `text` leaves a choice.
     """
 
     kind: str
@@ -62,37 +62,37 @@ class Finding(NamedTuple):
 
     @classmethod
     def of(cls, said: Said, log: str, joint: str = "") -> "Finding":
-        """Return what was said of a recording's joint, of one or of no joint in particular."""
+        """Return the finding with its recording and joint, if it has one."""
         return cls(*said[:3], log, joint, said[3] if len(said) > 3 else ())
 
 
 def say_sign(joint: int, count: int) -> str:
-    """The value of an option of `data.sign` that turns all of so many joints, and in brackets that of one alone."""
+    """Return the value of a `data.sign` option that reverses all joints and, in brackets, one that reverses a joint."""
     alone = ",".join("-1" if number == joint else "1" for number in range(count))
     return "-1" if count == 1 else f"-1 (for this joint only: [{alone}])"
 
 
 def turn(joint: int, *signals: str) -> tuple[Repair, ...]:
-    """Return the options that turn these signals of a joint round."""
+    """Return the options that reverse the sign of these signals of a joint."""
     return tuple(Repair(f"data.sign.{signal}", -1, joint, is_factor=True) for signal in signals)
 
 
 def identify_delay(lag: float) -> tuple[Repair, ...]:
-    """Return the options that let a delay of up to one and a half times this lag [s] be identified."""
+    """Return the options that identify a delay of up to 1.5 times this lag [s]."""
     return Repair("bench.params.delay.identify", True), Repair("bench.params.delay.high", float(f"{1.5 * lag:.2g}"))
 
 
 def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Doubt]:
-    """Refuse what is certain, and return the rest, each kind once a joint.
+    """Refuse certain findings if `strict`, and return the others, each kind once per joint.
 
     Args:
-        findings: In the order in which they matter.
+        findings: Findings, the most important first.
         checkup: One of `CHECKUPS`.
-        count: Of recordings.
+        count: Number of recordings.
 
     Raises:
-        LogError: `strict`, and something is certainly wrong.
-        ConfigError: There is no such way.
+        LogError: A finding is certain, and `checkup` is `strict`.
+        ConfigError: `checkup` is not in `CHECKUPS`.
     """
     if checkup not in CHECKUPS:
         raise ConfigError(f"checkup={checkup}: unknown; {closest(str(checkup), CHECKUPS)}")

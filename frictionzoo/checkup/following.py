@@ -1,4 +1,4 @@
-"""A position beside the command that asks for it: sign, order of joints, size, zero, and when each was recorded."""
+"""Diagnostics of a position and its command: sign, order of joints, scale, zero and time shift."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -15,36 +15,36 @@ from frictionzoo.checkup.lags import SHORTEST, WINDOWS, Likeness, compare, find_
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import Signal
 
-FOLLOWS = 0.9  # correlation from which on a position follows its command
-IGNORES = 0.5  # and below which it does not
-LARGER = 3.0  # times; a position moves no more than it is told to
-SMALLER = 8.0  # times; while it follows, it moves no less
-FAR_SMALLER = 20.0  # times; no weak gain explains this
-APART = 0.5  # times the motion that position and command are apart at the least
-DEGREE = 0.1  # relative difference to 57.3 of a factor that is taken for degrees
+FOLLOWS = 0.9  # correlation above which a position follows its command
+IGNORES = 0.5  # correlation below which it does not
+LARGER = 3.0  # scale of position over command above which units are wrong
+SMALLER = 8.0  # inverse scale above which units are likely wrong
+FAR_SMALLER = 20.0  # inverse scale that no weak gain explains
+APART = 0.5  # smallest distance of position and command, over their motion, that indicates different zeros
+DEGREE = 0.1  # relative tolerance of a factor that is recognised as a unit, such as 57.3 for degrees
 MUCH_BETTER, FAR_BETTER = (
     0.5,
     0.1,
-)  # times the misfit of what is recorded, below which another time is better, and right
-POOR = 0.02  # misfit at a usual lag below which a position follows, whatever else does better
-EARLY = 0.01  # s, by which a position is ahead of its command at the least
-LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness, by which it is late at the most
-QUARTER = 0.2  # s, within which a command of the other sign is sought
-COPIES, ABOUT = 0.98, 0.3  # correlation and relative size of a position that is what a command asks for
-LATEST_OTHER = 0.3  # s, by which a joint may follow another's command
-OTHER = 0.3  # times its own command's distance, within which a joint follows another's
+)  # misfit relative to that at usual lags, below which another lag is better, and certain
+POOR = 0.02  # misfit at usual lags below which a position follows, even if another lag is better
+EARLY = 0.01  # s, smallest lead of a position that counts
+LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness: their sum is the largest usual lag
+QUARTER = 0.2  # s, largest lag at which an opposite sign is sought
+COPIES, ABOUT = 0.98, 0.3  # correlation, and relative deviation of the scale from 1, of a followed command
+LATEST_OTHER = 0.3  # s, largest lag behind another joint's command
+OTHER = 0.3  # distance to another joint's command, relative to the joint's command, below which columns are swapped
 
 
 class Followed(NamedTuple):
-    """A joint's position beside its command.
+    """A joint's position compared with its command.
 
     Attributes:
-        qpos: The position, without samples that stand apart [rad or m].
-        ctrl: The command, alike.
-        on: Samples in which the drive is to follow.
-        likeness: Of the two.
-        settles: Damping over stiffness of the actuator law, by which a position is late [s].
-        work: Net work that the command does, as a share of what it exchanges.
+        qpos: Position without outliers [rad or m].
+        ctrl: Command without outliers [rad or m].
+        on: Samples in which the drive should follow.
+        likeness: Similarity of both at many lags.
+        settles: Damping over stiffness of the actuator law, which explains a lag of the position [s].
+        work: Net work of the command, as a share of the energy that it exchanges.
     """
 
     qpos: Signal
@@ -56,7 +56,7 @@ class Followed(NamedTuple):
 
 
 def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -> float:
-    """Damping over stiffness of the actuator law near its desired position [s]; 0 where that is not to be told."""
+    """Return damping over stiffness of the actuator law near its desired position [s]; 0 without stiffness."""
     values, law, still = bench.initial_values(), bench.actuator, np.zeros_like(log.qpos)
     affine, small = law.affine(values), 1e-4
 
@@ -72,16 +72,16 @@ def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -
 def check_following(
     log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool, swapped: int | None
 ) -> Iterator[Said]:
-    """What speaks against a command of position: kind, whether it is certain, and a sentence.
+    """Find faults of a position and its command.
 
     Args:
         log: The recording.
         of: The joint, in messages.
         bench: The test stand.
         joint: Index of the joint.
-        found: Its position beside its command.
-        drifts: Whether the lag changes along the recording, so that no one lag says anything.
-        swapped: Index of the joint whose command it follows instead of its own.
+        found: Its position compared with its command.
+        drifts: Whether the lag changes over the recording, so that a single lag has no meaning.
+        swapped: Index of the joint whose command it follows instead; None for none.
     """
     least = max(2 * log.timestep, EARLY)
     usual = found.likeness.between(-least, max(LATE, found.settles))
@@ -115,7 +115,7 @@ def check_following(
 
 
 def find_swaps(log: Log, followed: Mapping[int, Followed]) -> dict[int, int]:
-    """Joints that follow the command of another one, with that one: where an exchange among them makes all follow."""
+    """Return the joints that follow another joint's command, with that joint, if exchanged commands suit them all."""
     own = {joint: float(one.likeness.between(0.0, LATEST_OTHER).distance.min()) for joint, one in followed.items()}
     astray = [joint for joint, one in followed.items() if own[joint] > OTHER * np.std(one.qpos[one.on])]
     apart = np.zeros((len(astray), len(astray)))
@@ -133,7 +133,7 @@ def find_swaps(log: Log, followed: Mapping[int, Followed]) -> dict[int, int]:
 
 
 def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]]:
-    """A command that is to be a torque, and that the position follows as if it were asked for."""
+    """Find a torque command that the position follows like a desired position."""
     ctrl = log.ctrl[:, joint]
     if np.ptp(ctrl) > 0:
         likeness = compare(log.qpos[:, joint], ctrl, log.timestep, np.ones(log.samples, bool)).between(0.0, LATE)
@@ -148,10 +148,10 @@ def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]
 
 
 def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
-    """A lag behind the command that changes along the recording."""
+    """Find a lag behind the command that changes over the recording."""
     lags = []
     for window in np.array_split(np.arange(log.samples), WINDOWS):
-        # Commands before and after it are wanted too.
+        # Lags need commands before and after the window.
         around = slice(max(0, window[0] - len(window)), window[-1] + len(window))
         inside = np.zeros(log.samples, bool)
         inside[window] = found.on[window]
@@ -166,10 +166,10 @@ def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
 
 
 def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
-    """Columns of other times: a position that is ahead of its command, or late by more than the drive can be."""
+    """Find a position that is ahead of its command, or later than the drive explains."""
     likeness, lag = found.likeness, float(found.likeness.lags[found.likeness.best])
     late = LATE + GAINS * found.settles
-    # A command that repeats itself is as alike a period later.
+    # A periodic command matches equally well a period later.
     usual = float(likeness.between(-least, late).misfit.min())
     better, poor = float(likeness.misfit.min()) / max(usual, 1e-12), usual > POOR
     if lag < -least and (better < MUCH_BETTER if found.work < 0 else better < FAR_BETTER and poor):
@@ -192,7 +192,7 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
 
 
 def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bool, str]]:
-    """A position of another size or zero than what it is told to be."""
+    """Find a position whose scale or zero differs from its command's."""
     scale = float(found.likeness.scale[found.likeness.best])
     qpos, ctrl = found.qpos[found.on], found.ctrl[found.on]
     moved, asked, apart = np.ptp(qpos), np.ptp(ctrl), float(np.abs(qpos - ctrl).min())
@@ -213,7 +213,7 @@ def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bo
 
 
 def _mend(scale: float, slide: bool) -> str:
-    """Which unit, or ratio of a gear, makes a position of the size of its command."""
+    """Return the option of the unit or gear ratio that gives a position the scale of its command."""
     signal, factor = ("qpos", scale) if scale > 1 else ("ctrl", 1 / scale)
     unit, size = ("mm", 1000.0) if slide else ("deg", 180 / math.pi)
     alike = " (and data.units.qvel)" if signal == "qpos" else ""

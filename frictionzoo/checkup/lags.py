@@ -1,4 +1,4 @@
-"""How alike a signal and another are, at each time by which it may be late."""
+"""Similarity of two signals at many lags, and the drift of a lag."""
 
 from typing import NamedTuple
 
@@ -8,24 +8,24 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.logs.signals import Signal
 
-FARTHEST = 1.0  # s, looked at on either side
-WINDOWS = 6  # of a recording, in each of which a lag is found anew
+FARTHEST = 1.0  # s, largest lag in either direction
+WINDOWS = 6  # windows of a recording, each with its own lag
 SHORTEST = 50  # samples of a window
-SURE = 0.15  # s, within which the misfit is nearly as low as at the lag, of a lag that counts
-NEARLY = 1.5  # times the lowest misfit
-ROUNDING = 1e-4  # misfit that is nothing
-DRIFT = 0.15  # s, by which a lag changes along a recording at the least if clocks drift; motions change it by less
-STEADY = 0.2  # share of that change which the windows may scatter by
+SURE = 0.15  # s, widest range of lags with nearly the lowest misfit of a lag that counts
+NEARLY = 1.5  # factor on the lowest misfit that counts as nearly as low
+ROUNDING = 1e-4  # negligible misfit
+DRIFT = 0.15  # s, smallest change of a lag over a recording that indicates drifting clocks; motion changes it less
+STEADY = 0.2  # largest scatter of the windows' lags, as a share of that change
 
 
 class Likeness(NamedTuple):
-    """A signal beside a reference that is delayed by each of many lags.
+    """Similarity of a signal and a reference at many lags.
 
     Attributes:
-        lags: By which the signal is late [s].
-        correlation: Of the two, -1 to 1.
-        scale: Of the signal against the reference, where they are compared.
-        distance: Root mean square of their difference.
+        lags: Lags of the signal [s].
+        correlation: Correlation at each lag, -1 to 1.
+        scale: Scale of the signal relative to the reference.
+        distance: RMS difference in the signals' unit.
     """
 
     lags: Float[np.ndarray, "lags"]
@@ -34,28 +34,28 @@ class Likeness(NamedTuple):
     distance: Float[np.ndarray, "lags"]
 
     def between(self, low: float, high: float) -> "Likeness":
-        """Lags from low to high alone [s]; the one next to both where there is none."""
+        """Return the similarity at lags from low to high [s]; if there are none, at those closest to low."""
         kept = (self.lags >= low) & (self.lags <= high)
         kept = kept if kept.any() else np.abs(self.lags - low) == np.abs(self.lags - low).min()
         return Likeness(*(values[kept] for values in self))
 
     @property
     def best(self) -> int:
-        """Index of the lag at which the two are most alike."""
+        """Index of the lag with the highest correlation."""
         return int(np.argmax(self.correlation))
 
     @property
     def misfit(self) -> Float[np.ndarray, "lags"]:
-        """Share of the signal's variance that a scaled reference does not explain; more than 1 where it opposes."""
+        """Share of the signal's variance that a scaled reference does not explain; above 1 for a negative scale."""
         return 1 - self.correlation * np.abs(self.correlation)
 
 
 class Drift(NamedTuple):
-    """How a lag changes along a recording.
+    """Change of a lag over a recording.
 
     Attributes:
-        first: Lag at its beginning [s].
-        last: At its end [s].
+        first: Lag at the start [s].
+        last: Lag at the end [s].
     """
 
     first: float
@@ -63,9 +63,9 @@ class Drift(NamedTuple):
 
 
 def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndarray, "time"]) -> Likeness:
-    """A signal beside a reference at all lags up to `FARTHEST`, of samples of the signal that are `on`.
+    """Compare a signal with a reference at all lags up to `FARTHEST`, in the samples of the signal that are `on`.
 
-    Lags at which fewer than half of these samples have a partner are left out.
+    Lags at which fewer than half of these samples have a partner are ignored.
     """
     signal, reference = signal - signal.mean(), reference - signal.mean()
     length = scipy.fft.next_fast_len(2 * len(signal) - 1, real=True)
@@ -87,10 +87,10 @@ def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndar
 
 
 def find_drift(found: list[tuple[float, float] | None]) -> Drift | None:
-    """What a lag does along a recording, from when each window is and its lag [s]; None where it does not drift.
+    """Return the drift of a lag over a recording; None if it does not drift.
 
     Args:
-        found: One entry a window; None where the window tells no lag.
+        found: Time and lag of each window [s]; None for a window without a clear lag.
     """
     known = [pair for pair in found if pair is not None]
     if len(known) < WINDOWS - 1:
@@ -103,7 +103,7 @@ def find_drift(found: list[tuple[float, float] | None]) -> Drift | None:
 
 
 def say_drift(drift: Drift) -> str:
-    """A sentence on a lag that changes."""
+    """Return the message about a lag that drifts."""
     return (
         f"the motion lags ctrl by {1e3 * drift.first:.0f} ms at the start and by {1e3 * drift.last:.0f} ms at "
         "the end: their clocks drift apart; record both with one clock and name its column (data.columns.time), or cut "
@@ -112,7 +112,7 @@ def say_drift(drift: Drift) -> str:
 
 
 def pick_lag(lags: Float[np.ndarray, "lags"], misfit: Float[np.ndarray, "lags"]) -> float | None:
-    """The lag of the lowest misfit [s]; None where others do nearly as well, or it lies at an end."""
+    """Return the lag with the lowest misfit [s]; None if distant lags are nearly as good or it lies at an end."""
     at = int(np.argmin(misfit))
     near = lags[misfit < NEARLY * misfit[at] + ROUNDING]
     return None if at in (0, len(lags) - 1) or near.max() - near.min() > SURE else float(lags[at])

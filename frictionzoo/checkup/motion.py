@@ -1,4 +1,4 @@
-"""What the drive and the simulation may not have in common at the recorded positions: limits, contacts."""
+"""Diagnostics of limits and contacts at the recorded positions, where drive and simulation may differ."""
 
 from collections.abc import Iterator
 
@@ -10,17 +10,17 @@ from frictionzoo.bench.compiled import can_collide
 from frictionzoo.checkup.findings import Finding
 from frictionzoo.core.log import Dataset
 
-STATES = 2000  # recorded states at which contacts and limits are looked for
+STATES = 2000  # recorded states in which contacts and limits are sought, about
 
 
 def check_motion(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
-    """Limits and contacts of the model where the recordings have been."""
+    """Find limits and contacts of the MuJoCo model at the recorded positions."""
     yield from _find_limits(dataset, bench)
     yield from _find_pushes(dataset, bench)
 
 
 def _find_limits(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
-    """Motion beyond limits that were left out."""
+    """Find motion beyond limits of the file that the bench ignores."""
     qpos = np.concatenate([log.qpos for log in dataset.logs])
     for joint, (low, high), positions in zip(bench.joints, bench.unlimited, qpos.T, strict=True):
         beyond = (positions < low) | (positions > high)
@@ -37,7 +37,7 @@ def _find_limits(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
 
 
 def _find_pushes(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
-    """What MuJoCo C does at the recorded positions and the drive may not have done: touch a limit, make contact."""
+    """Find active limits and contacts in MuJoCo C at the recorded positions."""
     model = bench.compile(constraint=False)
     limited = model.jnt_limited.any() or model.tendon_limited.any()
     if not (limited or model.npair or can_collide(model)):

@@ -1,4 +1,4 @@
-"""Other readings of a recording, joints in another order or turned round, that agree better with what links need."""
+"""Alternative readings of a recording: joints reordered or reversed to match the links' torque better."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -10,15 +10,15 @@ from frictionzoo.checkup.balance import balance, mismatch
 from frictionzoo.checkup.findings import Finding, Repair, turn
 from frictionzoo.core.log import Log
 
-SHORT = 100  # samples; fewer tell nothing
-WORTH = 0.08  # share of a torque's variance that a joint leaves unexplained, from which on other readings are tried
-MUCH_BETTER = 0.5  # times what the recording as it is leaves unexplained, below which another reading is the right one
-AS_GOOD = 1.5  # times what the best reading leaves unexplained, of one that is told with it
-GAINED = 0.1  # share of a torque's variance by which another reading has to be better, summed over joints
+SHORT = 100  # samples; shorter recordings are not checked
+WORTH = 0.08  # unexplained variance share of a joint's torque above which other readings are tried
+MUCH_BETTER = 0.5  # factor on the recording's unexplained share that another reading has to reach
+AS_GOOD = 1.5  # factor on the best reading's unexplained share up to which another is reported with it
+GAINED = 0.1  # smallest reduction of the unexplained share, summed over joints
 
 
 def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
-    """Joints in another order or of another direction, where these explain the torque of a recording much better."""
+    """Find reordered or reversed joints that explain the torque of a recording much better."""
     if bench.nv == 1 or log.samples <= SHORT:
         return
     model = bench.compile(constraint=False)
@@ -36,7 +36,7 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
                 better.append((after, before, sentence, repairs))
     if better:
         after, before, _, repairs = min(better)
-        # A leg that hangs down moves as its mirror image does: several readings may be as good.
+        # A hanging leg moves like its mirror image: several readings may be equally good.
         said = [sentence for rest, whole, sentence, _ in sorted(better) if rest < AS_GOOD * after and whole == before]
         yield Finding(
             "reading",
@@ -49,7 +49,7 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
 
 
 def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Log], tuple[Repair, ...]]]:
-    """Yield a joint, the sentence that ends with what mends it, the changed recording, and the options if any do it."""
+    """Yield alternative readings: joint, sentence with the repair, change of the recording, and options (if any)."""
     for joint, name in enumerate(bench.joints):
         sign = np.where(np.arange(bench.nv) == joint, -1, 1)
         listed = f"[{','.join(map(str, sign))}]"

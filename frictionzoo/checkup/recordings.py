@@ -1,7 +1,7 @@
-"""All that can be seen to be wrong with recordings before a fit, in the order in which it matters.
+"""Diagnostics of recordings before a fit, the most important findings first.
 
-Signals of a recording are compared with each other and with what the bench's actuator and its links do at recorded
-states. What is certain is to be refused; what is only likely is to be told.
+Signals of a recording are compared with each other, and with the torques of the bench's actuators and links at recorded
+states. Certain faults are refused, likely ones reported.
 """
 
 from collections.abc import Iterator
@@ -36,29 +36,29 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.clean import TIMES_ROUNDED
 
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
-BRIEF = 2.5  # s; a shorter recording has too few motions to compare commands and torque with
-CLOSELY = 40  # recordings, spread evenly, that are looked at in all ways; the others without following and torque
+BRIEF = 2.5  # s; shorter recordings have too little motion to compare commands and torque
+CLOSELY = 40  # evenly spread recordings with all checks; the others skip following and torque
 
-READ = 1  # recording of which other readings are tried
+READ = 1  # first recordings for which other readings are tried
 
 
 def check_up(dataset: Dataset, bench: Bench, checkup: str) -> list[Doubt]:
-    """Return what is likely to be wrong with recordings, or with the bench for them, each with what mends it.
+    """Return likely faults of recordings, or of their bench, with repairs.
 
     Args:
         dataset: Recordings that the bench has accepted.
         bench: The test stand.
-        checkup: `strict`: what is certainly wrong is refused; `warn`: it is among the sentences.
+        checkup: `strict` refuses certain faults; `warn` returns them too.
 
     Raises:
-        LogError: `strict`, and something is certainly wrong.
-        ConfigError: There is no such way.
+        LogError: A fault is certain, and `checkup` is `strict`.
+        ConfigError: `checkup` is unknown.
     """
     return settle(find_all(dataset, bench), checkup, len(dataset.logs))
 
 
 def find_all(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
-    """All findings of a data set on a bench, the weightiest first within each recording."""
+    """Yield all findings of a data set on a bench, the most important first within each recording."""
     to_position = takes_position(bench)
     yield from check_declared(dataset, bench, to_position)
     logs = dataset.logs
@@ -75,7 +75,7 @@ def find_all(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
 
 
 def takes_position(bench: Bench) -> bool:
-    """Whether a bench's commands are desired positions."""
+    """Return whether a bench's commands are desired positions."""
     law = bench.actuator
     return bool({"stiffness", "1/position"} & set(law.dimensions.values())) or "kp" in law.inputs
 
@@ -100,7 +100,7 @@ def _check_log(log: Log, bench: Bench, to_position: bool, closely: bool) -> Iter
 def _check_signals(
     log: Log, of: str, bench: Bench, joint: int, cleaned: dict[str, Float[np.ndarray, "time nv"]]
 ) -> Iterator[Said]:
-    """Each signal of a joint; samples that stand apart are left out of the cleaned ones for all that follows."""
+    """Check each signal of a joint, and replace outliers in `cleaned` for all later checks."""
     for name, values in cleaned.items():
         far = find_isolated(name, values[:, joint])
         if far.any():
@@ -118,7 +118,7 @@ def _check_signals(
 def _check_together(
     log: Log, bench: Bench, to_position: bool, closely: bool, cleaned: dict[str, Float[np.ndarray, "time nv"]]
 ) -> Iterator[Finding]:
-    """Commands beside what they do, joint by joint and by the torque of all."""
+    """Check commands against motion, joint by joint, and against the torque of all joints."""
     log = replace(log, **cleaned)
     closely = closely and log.samples > SHORT and float(log.time[-1] - log.time[0]) > BRIEF
     works = work(log, bench)
@@ -142,7 +142,7 @@ def _check_together(
 def _check_forces(
     log: Log, bench: Bench, to_position: bool, closely: bool, works: Float[np.ndarray, "nv"], named: set[str]
 ) -> Iterator[Finding]:
-    """Commands of joints that are not named yet, by their torque and work; work counts where torque tells no sign."""
+    """Check torque and work of joints without findings so far; work counts where torque gives no verdict."""
     found = balance(log, bench, bench.compile(constraint=False)) if closely else None
     explained = [explain(found, joint) if found else None for joint in range(bench.nv)]
     said = check_torque(log, bench, found, explained, to_position) if found else ()
@@ -162,7 +162,7 @@ def _check_forces(
 
 
 def _follow(log: Log, bench: Bench, works: Float[np.ndarray, "nv"]) -> dict[int, Followed]:
-    """Each joint that is to follow a command of position, beside it."""
+    """Return each joint that should follow a desired position, compared with its command."""
     followed = {}
     for joint in range(bench.nv):
         on = _following(log, bench, joint)
@@ -183,7 +183,7 @@ def _check_commands(
     drifts: bool,
     swapped: int | None,
 ) -> Iterator[Said]:
-    """What the command of a joint says, and others that a robot's drive gets beside it, each with the position."""
+    """Check the command of a joint, alone and against its position."""
     on, of = _following(log, bench, joint), _of(bench, joint)
     if np.ptp(log.ctrl[:, joint]) > 0 or not _has_more(log, bench, joint):
         follows = log.qpos[on, joint] if to_position and on.any() else None
@@ -200,12 +200,12 @@ def _check_commands(
 
 
 def _of(bench: Bench, joint: int) -> str:
-    """A joint in messages; a bench of one needs no name."""
+    """Return a joint's name for messages; empty on a bench with one joint."""
     return f" of {bench.joints[joint]}" if bench.nv > 1 else ""
 
 
 def _following(log: Log, bench: Bench, joint: int) -> Bool[np.ndarray, "time"]:
-    """Samples in which a joint is to follow its command: it is on, and its gain, where that is recorded, is not 0."""
+    """Return samples in which a joint should follow its command: it is on, and a recorded gain is above 0."""
     on = _enabled(log)
     return on & (log.inputs["kp"][:, joint] > 0) if "kp" in bench.actuator.inputs else on
 
@@ -216,7 +216,7 @@ def _enabled(log: Log) -> Bool[np.ndarray, "time"]:
 
 
 def _has_more(log: Log, bench: Bench, joint: int) -> bool:
-    """Whether a joint is told more than `ctrl`."""
+    """Return whether a joint receives another varying command than `ctrl`."""
     return any(np.ptp(log.inputs[name][:, joint]) > 0 for name in bench.actuator.commands if name not in GAINS)
 
 

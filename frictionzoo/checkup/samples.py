@@ -1,4 +1,4 @@
-"""What one signal of one joint says by itself, and the measured velocity beside the position."""
+"""Diagnostics of single signals, and of the measured velocity against the position."""
 
 import math
 from collections.abc import Iterator
@@ -20,30 +20,30 @@ from frictionzoo.logs.signals import (
     repair_spikes,
 )
 
-LAGGING = 0.004  # s, by which a measured velocity may lag the position
-UNITS = 0.1  # relative difference of a measured velocity and the derivative from which on it is told
+LAGGING = 0.004  # s, largest accepted lag of a measured velocity
+UNITS = 0.1  # relative deviation of a measured velocity from the derivative above which it is reported
 OTHER_UNITS = 3.0  # factor between them that no filter explains
-UNLIKE = 0.5  # correlation below which a velocity has nothing to do with the position
-STILL = 5  # steps of the encoder; a joint that moves through less stands still
-NOISE = 0.5  # of the largest ratio of the steps between samples to the spread, which is that of white noise
-SMOOTH = 0.01  # the same of a position that is known well enough to judge a velocity by
-COARSE = 0.05  # share of the motion that its neighbours do not tell of a sample, from which on sampling is too slow
-FROZEN = 20  # samples in which a sensor repeats itself before it jumps
-JUMP = 5.0  # times the largest usual step between samples that is a jump
-SPIKE = 0.05  # share of the motion that a spike within it leaves its neighbours by
-SHORT = 100  # samples; in fewer, signals are not compared with each other
-SLOWEST, FASTEST = 0.5, 2e-5  # s; no recording of a drive has longer or shorter sample intervals
-TURNS = 3.0  # a joint that turns through more may be in degrees
-STROKE = 5.0  # m; a slide that moves through more may be in millimetres
-FILLED = 0.1  # share of the limits of a joint that a motion in degrees goes through at the least
-FAST = 50.0  # m/s; no slide does
+UNLIKE = 0.5  # correlation below which a velocity does not belong to the position
+STILL = 5  # encoder steps; a joint with less motion stands still
+NOISE = 0.5  # ratio of steps between samples to spread, relative to white noise, above which a position is noise
+SMOOTH = 0.01  # interpolation error, as a share of the spread, below which a position can judge a velocity
+COARSE = 0.05  # interpolation error, as a share of the spread, above which sampling is too slow
+FROZEN = 20  # repeated samples before a jump that indicate a frozen sensor
+JUMP = 5.0  # factor on the largest usual step between samples that makes a jump
+SPIKE = 0.05  # size of a spike, as a share of the motion
+SHORT = 100  # samples; in shorter recordings, signals are not compared with each other
+SLOWEST, FASTEST = 0.5, 2e-5  # s, plausible sample intervals
+TURNS = 3.0  # a larger range of an angle may be in degrees
+STROKE = 5.0  # m; a larger range of a slide may be in millimetres
+FILLED = 0.1  # smallest share of a joint's limits that a motion in degrees covers
+FAST = 50.0  # m/s, implausible for a slide
 BITS = range(8, 25)  # of encoders, whose step is a turn over a power of two
-EXACT = 0.002  # relative difference within which a step is such a one
+EXACT = 0.002  # relative tolerance of such a step
 FACTORS = {180 / math.pi: "deg", 60 / math.tau: "rpm", 1000.0: "mm"}
 
 
 def check_clock(log: Log) -> Iterator[Finding]:
-    """Times of another unit."""
+    """Find implausible sample intervals, which indicate another unit of time."""
     if not FASTEST <= log.timestep <= SLOWEST:
         unit = "ms" if log.timestep < 1e3 * SLOWEST else "us"
         yield Finding(
@@ -57,7 +57,7 @@ def check_clock(log: Log) -> Iterator[Finding]:
 
 
 def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
-    """Samples of a signal of this name that stand apart from those before and after them."""
+    """Return which samples of a signal are outliers; in `qpos`, spikes within the motion are outliers too."""
     far = find_outliers(values)
     if name == "qpos":
         repaired = repair_spikes(values)
@@ -66,7 +66,7 @@ def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
 
 
 def say_outliers(log: Log, what: str, values: Signal, far: Bool[np.ndarray, "time"]) -> str:
-    """A sentence on the samples of a signal that stand apart."""
+    """Return the message about the outliers of a signal."""
     at = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
     return (
         f"{what} has outliers ({far.sum()}), such as {values[at]:.4g} at {log.time[at]:.4g} s; "
@@ -75,13 +75,13 @@ def say_outliers(log: Log, what: str, values: Signal, far: Bool[np.ndarray, "tim
 
 
 def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
-    """A signal with a straight line in place of some samples."""
+    """Return a signal with outliers replaced by linear interpolation."""
     kept = np.flatnonzero(~far)
     return np.interp(np.arange(len(values)), kept, values[kept]) if far.any() else values
 
 
 def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[Said]:
-    """What the position says alone: kind, whether it is certain, and a sentence. After what is certain, no more."""
+    """Find faults of the position alone; a certain fault ends the check."""
     found: Said | None = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
     if found is None and bench.joint_type == "hinge":
         found = _find_wrapping(of, qpos)
@@ -105,7 +105,7 @@ def _find_still(of: str, qpos: Signal, ctrl: Signal) -> tuple[str, bool, str] | 
 
 
 def _find_noise(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
-    # Steps between samples of white noise have a variance of two, of a motion that is sampled fast next to none.
+    # Steps between samples of white noise have twice its variance, of a motion that is sampled fast almost none.
     ratio = float(np.std(np.diff(qpos)) / (np.std(qpos) * np.sqrt(2)))
     if len(qpos) <= 20 or ratio <= NOISE:
         return None
@@ -132,7 +132,7 @@ def _find_wrapping(of: str, qpos: Signal) -> Said | None:
 
 
 def _find_coarse(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
-    """A motion of which the samples on either side of one do not tell where it is: its frequencies may be folded."""
+    """Find a motion that neighbouring samples do not predict: it may be aliased."""
     apart = _apart(qpos)
     if apart > COARSE:
         yield (
@@ -144,7 +144,7 @@ def _find_coarse(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
 
 
 def _apart(qpos: Signal) -> float:
-    """Root mean square of what a cubic through the two samples on either side misses, as a share of the spread."""
+    """Return the RMS error of a cubic interpolation from two samples on either side, as a share of the spread."""
     if len(qpos) <= 20:
         return 0.0
     between = (9 * (qpos[2:-4] + qpos[4:-2]) - (qpos[:-6] + qpos[6:])) / 16
@@ -152,7 +152,7 @@ def _apart(qpos: Signal) -> float:
 
 
 def _find_frozen(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
-    """A position that repeats itself and then jumps to where the drive is by then."""
+    """Find a position that stays constant and then jumps."""
     steps, quantum = np.abs(np.diff(qpos)), find_quantum(qpos) or 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0, [False]]).astype(int)))
     usual = float(np.quantile(steps, 0.99))
@@ -168,7 +168,7 @@ def _find_frozen(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
 
 
 def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[tuple[str, bool, str]]:
-    """An angle that can be degrees and no radians, by its range, the encoder's step and the limits of the file."""
+    """Find an angle that seems to be in degrees, by its range, the encoder step and the limits of the file."""
     span, low, high = float(np.ptp(qpos)), *limits
     degrees = np.radians(qpos)
     if span <= TURNS * math.tau and not high - low < span:
@@ -198,7 +198,7 @@ def _is_step(quantum: float, turn: float) -> bool:
 
 
 def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, bool, str]]:
-    """A slide that moves as far or as fast as none does."""
+    """Find a slide with an implausible range or speed."""
     span, speed = float(np.ptp(qpos)), float(np.quantile(np.abs(qvel), 0.99))
     if span > STROKE or speed > FAST:
         yield (
@@ -238,7 +238,7 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
         length = min(len(derived), len(qvel))
         beside = compare(qvel[:length], derived[:length], log.timestep, np.ones(length, bool))
         alike = beside.between(-LONGEST_LAG, LONGEST_LAG).correlation.max()
-        # Of a joint that hardly moves, both are noise.
+        # If a joint hardly moves, both are noise.
         yield (
             "velocity",
             bool(alike < UNLIKE and _apart(qpos) < SMOOTH),
@@ -276,7 +276,7 @@ def _find_velocity_unit(of: str, scale: float) -> Iterator[Said]:
 
 
 def _suggest(scale: float) -> str:
-    """What unit explains a velocity that is so many times the position's derivative."""
+    """Return the unit option that explains a velocity of `scale` times the position's derivative; empty if none."""
     for factor, unit in FACTORS.items():
         if abs(scale / factor - 1) < UNITS:
             return f", such as data.units.qvel={unit}{'' if unit == 'rpm' else '/s'}" + (

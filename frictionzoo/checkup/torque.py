@@ -1,4 +1,4 @@
-"""What speaks against a recording, or against the bench, by the torque that its actuators give and its links need."""
+"""Diagnostics of a recording and its bench by the torque balance of actuators and links."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,36 +10,36 @@ from frictionzoo.checkup.findings import Finding, Repair, Said, identify_delay, 
 from frictionzoo.checkup.lags import WINDOWS, find_drift, pick_lag, say_drift
 from frictionzoo.core.log import Log
 
-KNOWN = 0.1  # relative standard error up to which a share counts as known
-TIMES = 3.0  # factor by which an actuator's torque differs from what links need and something else is wrong
-MATTERS = 1.0  # times the unexplained variance of a torque, that links explain at the least where they are judged
-FASTEST = {"hinge": 2e4, "slide": 2e3}  # rad/s^2 or m/s^2 at most of a drive under its largest torque
-SLOWEST = {"hinge": 0.1, "slide": 0.01}  # and at least
-PLAIN = 0.5  # share of a torque's variance that may be left where its inertia is to be told
-MUCH_BETTER = 0.5  # times what is left of the torque as recorded, below which another time is the right one
-EARLY, LATE = 0.01, 0.1  # s, between which a command acts, with the delay that a drive may have
-OFFSETS = ("force_offset", "torque_offset")  # of actuator laws, beside what their commands ask for
-LEFT = 0.3  # share of the variance that may be left of a joint whose command's time is looked at
+KNOWN = 0.1  # relative standard error below which a share counts as known
+TIMES = 3.0  # factor between actuator torque and links' torque above which gear ratio or unit is wrong
+MATTERS = 1.0  # smallest ratio of the variance explained by links to the unexplained one, to judge the factor
+FASTEST = {"hinge": 2e4, "slide": 2e3}  # rad/s^2 or m/s^2, largest plausible acceleration under the largest torque
+SLOWEST = {"hinge": 0.1, "slide": 0.01}  # rad/s^2 or m/s^2, smallest plausible acceleration
+PLAIN = 0.5  # largest unexplained variance share of a torque whose inertia is judged
+MUCH_BETTER = 0.5  # factor on the misfit at usual lags that another lag has to reach
+EARLY, LATE = 0.01, 0.1  # s, usual range of a command's lead and delay
+OFFSETS = ("force_offset", "torque_offset")  # parameters of actuator laws that do not scale the command
+LEFT = 0.3  # largest unexplained variance share at which time shifts are judged
 
 
 def agrees(one: Explained | None) -> bool:
-    """Whether a joint's torque is known to have the sign and the size that its links need."""
+    """Return whether a joint's torque is known to have the sign and scale of the links' torque."""
     return one is not None and one.error < KNOWN * one.share and 1 / TIMES < one.share < TIMES
 
 
 def check_torque(
     log: Log, bench: Bench, found: Balance, explained: Sequence[Explained | None], to_position: bool
 ) -> Iterator[Finding]:
-    """Signs, sizes, order and times of a recording, by its torque balance.
+    """Check signs, scales and times of a recording by its torque balance.
 
     Args:
-        log: Accepted by the bench.
+        log: Recording that the bench has accepted.
         bench: The test stand.
         found: The recording's torque balance.
-        explained: How that explains the torque of each joint.
-        to_position: Whether commands are positions, whose sign and time `check_following` looks at.
+        explained: Its regression for each joint.
+        to_position: Whether commands are desired positions, whose sign and time `check_following` checks.
     """
-    # Signs and sizes mean nothing of signals of different times.
+    # Signs and scales have no meaning if the signals are shifted in time.
     times = [] if to_position else list(_check_time(log, found, explained))
     yield from times
     for joint, one in enumerate(explained):
@@ -49,10 +49,10 @@ def check_torque(
 
 
 def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[Said]:
-    """Sign and size of a joint's torque against what its links need, or of its inertia."""
+    """Check sign and scale of a joint's torque against its links' torque, or its inertia."""
     of = f" of {bench.joints[joint]}" if bench.nv > 1 else ""
     if any(param.is_identified for name, param in bench.actuator.params.items() if name not in OFFSETS):
-        return  # its size is not known yet
+        return  # its scale is unknown before the fit
     if one.error < KNOWN * abs(one.share):
         if one.share < 0:
             turned = ("qpos", "qvel", "ctrl") if to_position else ("ctrl",)
@@ -78,13 +78,13 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
 
 
 def _name_gains(bench: Bench) -> tuple[str, ...]:
-    """Return the parameters of an actuator to which its torque is proportional."""
+    """Return the parameters that scale an actuator's torque."""
     proportional = (("force_gain",), ("kp", "kd"), ("torque_gain",), ("kt_over_r", "kt2_over_r"))
     return next((names for names in proportional if {*names} <= bench.actuator.params.keys()), ())
 
 
 def _torque_option(bench: Bench, factor: float) -> str:
-    """Return what makes an actuator's torque so many times as large."""
+    """Return the advice that scales an actuator's torque by a factor."""
     names = _name_gains(bench)
     if names == ("force_gain",):
         return f"bench.actuator.params.force_gain.init to {factor:.3g} times its value, or data.units.ctrl={factor:.3g}"
@@ -100,7 +100,7 @@ def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[Repair, ...]
 
 
 def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterator[Said]:
-    """The inertia of a joint without a load, which is its armature, by how fast the recorded torque makes it."""
+    """Check the inertia of a joint without a load by the acceleration that the torque would give it."""
     slide = bench.joint_type == "slide"
     if one.inertia < 0:
         yield (
@@ -123,7 +123,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterato
 
 
 def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
-    """A torque command that acts before it is given, or later than a drive's delay."""
+    """Find a torque command that acts before its time, or later than a drive's delay explains."""
     joints = [joint for joint, one in enumerate(explained) if one is not None]
     if not joints:
         return

@@ -1,1 +1,1 @@
-"""Command lines: run, compare, inspect, export and distil."""
+"""Command-line interface, one module per command."""

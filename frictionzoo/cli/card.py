@@ -1,4 +1,4 @@
-"""Command line: `python -m frictionzoo.card RUN licence=cc-by-4.0` writes a run's drive for those without the run."""
+"""Command line: `python -m frictionzoo.card RUN licence=cc-by-4.0` publishes a run's drive as a card."""
 
 import argparse
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ BAM's parameter file with them, and source=TEXT, who published it and where."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
+    """Run the command; `arguments` default to `sys.argv`. A user's mistake ends it with one line and status 2."""
     parsed = _parse(arguments)
     with mistakes_in_one_line():
         options = read_options(parsed.options, "licence=cc-by-4.0")
-        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import refuse_unfinished
 
         refuse_unfinished(parsed.folder)

@@ -1,4 +1,4 @@
-"""The commands of the program and its pages of help, for which neither Hydra nor any of the science is imported."""
+"""Commands of the program and their help pages, without importing Hydra or the numerical packages."""
 
 import gc
 import importlib
@@ -24,7 +24,7 @@ COMMANDS = {
     "excite": "design the command to record next, within limits",
     "list": "list models, methods, formats and other choices",
 }
-"""What each command does; it is the module of that name in this package, with a `main` that takes its arguments."""
+"""Summary of each command; its module in this package has the same name and a `main` that takes its arguments."""
 
 HELP = """\
 frictionzoo identifies a drive's armature and friction from its encoder log. It
@@ -99,17 +99,17 @@ examples:
 Options: data options of a run, and hydra.run.dir=FOLDER for the output.
 """
 _FLAGS = {"-h", "--help"}
-_COMPLETED = "COMP_LINE"  # the variable in which a shell hands over the line that it wants completed
+_COMPLETED = "COMP_LINE"  # environment variable with the line that a shell completes
 _SWEEP = {"-m", "--multirun"}
-_COMPOSING = ("run", "inspect")  # they wait for Hydra before they say anything
+_COMPOSING = ("run", "inspect")  # commands that wait for Hydra before their first output
 
 
 def main(*command: str) -> None:
-    """Entry point of the console script, and of `python -m frictionzoo.COMMAND`, whose name goes before arguments."""
-    # What torch and JAX make when they are imported and trace stays; looking for garbage in it again and again takes
-    # a tenth of a short run.
+    """Run the console script, or `python -m frictionzoo.COMMAND`, which passes its name as `command`."""
+    # Objects that torch and JAX create on import and while tracing persist; collecting garbage among them again and
+    # again takes a tenth of a short run.
     gc.set_threshold(50_000, 20, 10)
-    # While modules are imported, before a command answers it: Ctrl-C ends the program without a traceback.
+    # Until a command handles Ctrl-C, it ends the program without a traceback.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     outlive_readers()
@@ -120,7 +120,7 @@ def main(*command: str) -> None:
 
 
 def dispatch(arguments: Sequence[str]) -> None:
-    """Do a command, which its name and its arguments tell, or those of a run; or show its help."""
+    """Run the command that the arguments name, by default `run`, or print its help."""
     name, rest = arguments[0] if arguments else "", arguments[1:]
     if name not in COMMANDS:
         if re.fullmatch(r"[\w./]+", name):  # neither a flag nor an override
@@ -141,12 +141,12 @@ def dispatch(arguments: Sequence[str]) -> None:
 
 
 def _complete(asked: Sequence[str]) -> None:
-    """Answer a shell: names of commands, and of a run or of recordings the options, which Hydra knows."""
+    """Print completions for a shell: names of commands, and options of `run` and `inspect` from Hydra."""
     program, *words = os.environ.get(_COMPLETED, "").split(" ")
     if len(words) == 1:
         print(*(name for name in COMMANDS if name.startswith(words[0])))
     elif words and words[0] in COMMANDS:
         if words[0] not in _COMPOSING:
-            return  # the shell completes names of files
+            return  # the shell completes file names
         os.environ[_COMPLETED] = " ".join([program, *words[1:]])
     importlib.import_module("frictionzoo.cli.run").main(asked)

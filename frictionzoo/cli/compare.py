@@ -1,4 +1,4 @@
-"""Command line: `python -m frictionzoo.compare FOLDER...` compares runs that exist."""
+"""Command line: `python -m frictionzoo.compare FOLDER...` compares finished runs."""
 
 import argparse
 from collections.abc import Sequence
@@ -9,11 +9,11 @@ from frictionzoo.core.telling import Parser, say, tell
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
+    """Run the command; `arguments` default to `sys.argv`. A user's mistake ends it with one line and status 2."""
     options = _parse(arguments)
     output = options.output or (options.folders[0] if len(options.folders) == 1 else Path()) / "comparison"
     with mistakes_in_one_line():
-        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import find_runs
 
         for folder in options.folders:

@@ -1,4 +1,4 @@
-"""Command line: `python -m frictionzoo.distill RUN model=NAME` fits a simpler law to a run's drive."""
+"""Command line: `python -m frictionzoo.distill RUN model=NAME` fits a simpler model to a run's drive."""
 
 import argparse
 import sys
@@ -16,11 +16,11 @@ long as the evaluation rollouts."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
+    """Run the command; `arguments` default to `sys.argv`. A user's mistake ends it with one line and status 2."""
     parsed = _parse(arguments)
     with mistakes_in_one_line():
         options = read_options(parsed.options, "model=stribeck")
-        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import refuse_unfinished
 
         refuse_unfinished(parsed.folder)

@@ -1,4 +1,4 @@
-"""Command line: `python -m frictionzoo.excite velocity=4 torque=2 position=1.5` designs the command to record next."""
+"""Command line: `python -m frictionzoo.excite velocity=4 torque=2 position=1.5` designs the next recording."""
 
 import argparse
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ for ROS 2 and LeRobot; inputs.NAME=VALUE; output=FOLDER; without RUN also bench=
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
+    """Run the command; `arguments` default to `sys.argv`. A user's mistake ends it with one line and status 2."""
     parsed = _parse(arguments)
     runs = parsed.folders
     if len(runs) > 1:
         fail(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
     with mistakes_in_one_line():
         options = read_options(parsed.options, "velocity=4")
-        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import refuse_unfinished
 
         for run in runs:
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Folders, which have no `=` in them, and options."""
+    """Parse the arguments into folders, which contain no `=`, and options."""
     parser = Parser(
         prog="python -m frictionzoo.excite",
         usage="python -m frictionzoo.excite [RUN] KEY=VALUE ...",

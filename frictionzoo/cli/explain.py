@@ -1,4 +1,4 @@
-"""One line for an error that a user can cause, Hydra's and OmegaConf's among them, with the closest name."""
+"""One-line explanations of errors that a user can cause, including those of Hydra and OmegaConf."""
 
 import itertools
 import re
@@ -15,7 +15,7 @@ from frictionzoo.core.errors import FrictionzooError, closest
 
 
 def explain(error: Exception, overrides: Sequence[str] = ()) -> str | None:
-    """One line for an error that a user can cause, None for any other; overrides tell of an unknown option."""
+    """Return one line for an error that a user can cause, else None; overrides help to explain an unknown option."""
     if isinstance(error, FrictionzooError):
         return str(error)
     if isinstance(error, HydraException | OmegaConfBaseException):
@@ -28,7 +28,7 @@ def explain(error: Exception, overrides: Sequence[str] = ()) -> str | None:
 
 
 def missing_plugin(error: Exception) -> str | None:
-    """One line for a launcher or sweeper whose package is not installed, None for any other error."""
+    """Return one line for a launcher or sweeper whose package is not installed, None for any other error."""
     missing = re.search(r"Unknown plugin class : 'hydra_plugins\.hydra_(\w+?)_(launcher|sweeper)\.", str(error))
     if not missing:
         return None
@@ -37,7 +37,7 @@ def missing_plugin(error: Exception) -> str | None:
 
 
 def _explain_refusal(text: str, overrides: Sequence[str]) -> str:
-    """One line for what Hydra or OmegaConf refuses, with the closest name."""
+    """Return one line for a refusal by Hydra or OmegaConf, with the closest name."""
     missing = re.search(r"Could not find '([\w/]+)/([^'/]*)'", text)
     if missing:
         group, name = missing.groups()
@@ -52,7 +52,7 @@ def _explain_refusal(text: str, overrides: Sequence[str]) -> str:
 
 
 def _explain_unknown(option: str, overrides: Sequence[str]) -> str:
-    """One line for an option that does not exist, in a sweep for the first job that lacks it."""
+    """Return one line for an unknown option; in a sweep, for the first job that lacks it."""
     groups = [each for each in read_arguments(overrides) if is_group(each.key_or_group)]
     chosen = [each for each in groups if each.key_or_group != option]
     for names in itertools.product(*map(choices_named, chosen)):
@@ -65,7 +65,7 @@ def _explain_unknown(option: str, overrides: Sequence[str]) -> str:
             swept = [choice for choice, override in zip(choices, chosen, strict=True) if override.is_sweep_override()]
             job = f" with {' '.join(swept)}" if swept else ""
             return f"{option}: unknown option{job}; {suggest_option(option, config)}"
-    # Hydra looks at a sweep as a whole first, with the default of each group that is swept.
+    # Hydra first checks a sweep as a whole, with the default of each swept group.
     group = option.partition(".")[0]
     return f"{option}: each job of this sweep has it, the default {group} does not; write ++{option}=VALUE"
 

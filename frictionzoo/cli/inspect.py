@@ -1,4 +1,4 @@
-"""Command line: `python -m frictionzoo.inspect FILE` or `data=...` tells what is in a data set before any fit."""
+"""Command line: `python -m frictionzoo.inspect FILE` or `data=...` checks recordings before a fit."""
 
 import contextlib
 import json
@@ -26,7 +26,7 @@ FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choice
 
 @hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")
 def _inspect(config: DictConfig) -> None:
-    # Ended inside, because Hydra adds a line of its own to an error that passes through it.
+    # Errors end here, because Hydra adds a line to an error that passes through it.
     with mistakes_in_one_line():
         hydra_config = HydraConfig.get()
         if hydra_config.mode == RunMode.MULTIRUN:
@@ -39,17 +39,17 @@ def _inspect(config: DictConfig) -> None:
 
 
 def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
-    """Look at the data set of a configuration, write `inspect.html` and `inspect.json`, and return words on it.
+    """Check the data set of a configuration, write `inspect.html` and `inspect.json`, and return a summary.
 
     Args:
-        config: Of a job.
-        folder: Where to write.
-        bench: On which the data were recorded; None where nobody said it.
+        config: Configuration of a job.
+        folder: Output folder.
+        bench: Bench of the recordings; None if unknown.
 
     Raises:
         FrictionzooError: The input is at fault, or a file cannot be written.
     """
-    # Imported here, so that --help and a typing error do not wait for it.
+    # Imported here, so that neither --help nor a mistake waits for it.
     from frictionzoo.inspect.page import write_page
     from frictionzoo.inspect.survey import list_recordings, put_in_order, survey_recordings
     from frictionzoo.inspect.terminal import summarise
@@ -67,7 +67,7 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
 
 
 def _build_bench(config: DictConfig) -> Any:
-    """The bench; None where its model is not there, which recordings do not need."""
+    """Return the bench; None if it cannot be built, since the recordings can be checked without it."""
     with contextlib.suppress(FrictionzooError):
         from frictionzoo.bench.given import build_open
 
@@ -76,10 +76,10 @@ def _build_bench(config: DictConfig) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point, as that of a run; before overrides, the arguments may name files and folders."""
+    """Run the command like `run`; files and folders may precede the overrides."""
     register_resolvers()
     forget_plugin_schemas()
-    # Of two overrides of an option the later one, the user's, wins.
+    # The last override of an option, the user's, wins.
     overrides = [
         f"hydra.run.dir={FOLDER}",
         *quote_values(_name_files(sys.argv[1:] if arguments is None else arguments)),
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _name_files(arguments: Sequence[str]) -> list[str]:
-    """The arguments, with what comes first and is no override and no flag as the files of `data=files`."""
+    """Return the arguments with leading file names replaced by `data=files` and `data.train`."""
     first = next((i for i, each in enumerate(arguments) if "=" in each or each[:1] in "-~"), len(arguments))
     named = [f'"{name}"' for name in arguments[:first]]
     return [*(["data=files", f"data.train=[{','.join(named)}]"] if named else []), *arguments[first:]]

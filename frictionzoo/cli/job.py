@@ -1,4 +1,4 @@
-"""One job of the command line: a configuration to an identified drive, its course recorded, its files written."""
+"""One job of the command line: from a configuration to the files of an identified drive."""
 
 import json
 from collections.abc import Sequence
@@ -34,18 +34,18 @@ def run_job(
     options: Sequence[str] = (),
     given: Given | None = None,
 ) -> tuple[Result, str | None]:
-    """Identify a drive and write what a run leaves behind.
+    """Identify a drive and write the run's files.
 
     Args:
         config: The composed configuration.
-        name: The chosen model, as in conf/model.
+        name: Name of the model, as in conf/model.
         folder: The run's folder.
-        teacher: The fitted drive that this one is to follow instead of the measured training segments; None for none.
-        options: `KEY=VALUE` each, with which the job was asked for, so that it can tell the command to run next.
+        teacher: A fitted drive whose rollouts replace the measured training segments; None for none.
+        options: Options of the job as `KEY=VALUE`, for the commands that the run suggests.
         given: Bench and recordings of the configuration, if they have been read already.
 
     Returns:
-        What `result.json` holds, and one line of complaint if the fit diverged.
+        Content of `result.json`, and a one-line message if the fit diverged.
 
     Raises:
         FrictionzooError: The input is at fault.
@@ -68,7 +68,7 @@ def run_job(
 
 
 def _identify(name: str, problem: Problem) -> dict[str, str]:
-    """What a checkpoint must share with this run."""
+    """Return what a checkpoint must have in common with this run."""
     settings, segments = problem.settings, problem.segments
     sections = {key: settings[key] for key in ("bench", "model", "fit", "segments", "loss", "seed", "dtype")}
     return {
@@ -79,7 +79,7 @@ def _identify(name: str, problem: Problem) -> dict[str, str]:
         **{section: json.dumps(value, sort_keys=True) for section, value in sections.items() if section != "model"},
         "model settings": json.dumps(sections["model"], sort_keys=True),
         "chunk": str(settings["loop"]["chunk"]),
-        # What a fit compares, as cleaning and payloads have it.
+        # Measured states after cleaning, and payloads.
         "training samples": digest(
             {n: getattr(segments, n) for n in ("qpos", "qvel", "loads")} | segments.signals.named()
         ),
@@ -87,10 +87,10 @@ def _identify(name: str, problem: Problem) -> dict[str, str]:
 
 
 def _list_hyperparameters(name: str, problem: Problem) -> dict[str, Any]:
-    """What tells a run from others: the choices, and options that can change the result, by their names in conf/."""
+    """Return the choices of files and the options that can change the result, by their names in conf/."""
     chosen = {"model": name, "data": problem.dataset.name, "fit": problem.fit.name}
     options = dict(list_options(problem.settings))
     indifferent = ("resume", "compilation_cache", "loop.progress", "logger.")
-    # Bounds and scales come with a choice. TensorBoard shows the first few that differ: they would hide the choice.
+    # A choice implies bounds and scales; among the few differences that TensorBoard shows they would hide the choice.
     implied = ("_target_", ".default", ".low", ".high", ".scale")
     return chosen | {k: v for k, v in options.items() if not k.startswith(indifferent) and not k.endswith(implied)}

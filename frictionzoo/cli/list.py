@@ -1,4 +1,4 @@
-"""Command line: `python -m frictionzoo.list [KIND...]` lists what can be chosen, other packages' plug-ins among it."""
+"""Command line: `python -m frictionzoo.list [KIND...]` lists plug-ins, including those of other packages."""
 
 import argparse
 from collections.abc import Sequence
@@ -10,20 +10,20 @@ from frictionzoo.core.telling import Parser, say
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
+    """Run the command; `arguments` default to `sys.argv`. A user's mistake ends it with one line and status 2."""
     asked = _parse(arguments).kinds
     try:
         for name in asked:
             if name not in KINDS:
                 raise ConfigError(f"{name}: no such kind of plug-ins; {closest(name, KINDS)}")
-        # By the files that register them: no plug-in is imported.
+        # Plug-ins are read from the files that register them, without importing any.
         say("\n\n".join(list_kind(KINDS[name]) for name in asked or KINDS))
     except FrictionzooError as error:
         fail(str(error))
 
 
 def list_kind(kind: Kind) -> str:
-    """A kind's plug-ins, one a line: name, package, how it is chosen, first line of its docstring."""
+    """Return the plug-ins of a kind, one per line: name, package, option, first line of its docstring."""
     rows = [(one.name, one.package, kind.choice.format(**one._asdict()), one.summary) for one in kind.list_all()]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)] if rows else []
     lines = ("  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)

@@ -1,4 +1,4 @@
-"""How a command ends: a mistake or a signal is one line on the standard error and an exit status."""
+"""End of a command: a mistake or a signal gives one line on standard error and an exit status."""
 
 import contextlib
 import io
@@ -13,15 +13,15 @@ from frictionzoo.core.errors import OutputError
 from frictionzoo.core.telling import escape_controls
 
 REFUSED = 2
-"""Exit status of what a user has to mend."""
+"""Exit status for a mistake that the user has to correct."""
 NOT_IDENTIFIED = 3
-"""Exit status where a fit ended well and what it found is not the drive; of a sweep, where that is recommended."""
+"""Exit status of a fit that finished without identifying the drive; of a sweep, if its recommended run has it."""
 NOTHING_KEPT = "nothing is kept; run it again"
-"""What to do after a command that ended before it kept anything."""
+"""Advice after a command that ended before it saved anything."""
 
 
 class Stopped(BaseException):
-    """Ctrl-C or SIGTERM. No Exception: that, a library may take for a failure of its own and go on."""
+    """Ctrl-C or SIGTERM. It is no `Exception`, which a library might catch as a failure and continue."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -32,11 +32,11 @@ class Stopped(BaseException):
 def mistakes_in_one_line(
     go_on: Callable[[], str] = lambda: NOTHING_KEPT, overrides: Sequence[str] = ()
 ) -> Iterator[None]:
-    """Turn an error that a user can cause into one line and exit status 2, a signal into one and 128 + its number.
+    """Turn a user's mistake into one line and exit status 2, and a signal into one line and 128 + its number.
 
     Args:
-        go_on: Says, for a signal or a disk that takes no more, what is kept and how to go on.
-        overrides: What was asked of Hydra: what it refuses is told by them.
+        go_on: Returns, after a signal or a write error, what is saved and how to resume.
+        overrides: Hydra's overrides, to explain its refusals.
     """
     with stoppable():
         try:
@@ -56,9 +56,9 @@ def mistakes_in_one_line(
 
 @contextlib.contextmanager
 def stoppable() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM raise `Stopped`, once: another one does not disturb what is cleaned up then.
+    """Let the first Ctrl-C or SIGTERM raise `Stopped`; further ones do not disturb the cleanup.
 
-    Whoever answers them already, or ignores them, goes on to.
+    Signals that are already handled or ignored stay so.
     """
 
     def stop(number: int, frame: Any) -> None:
@@ -67,7 +67,7 @@ def stoppable() -> Iterator[None]:
             raise Stopped(number)
 
     def try_again(lost: Any) -> None:
-        # Python drops what is raised in a callback of its garbage collection, and JAX has one.
+        # Python drops exceptions raised in callbacks of its garbage collection, and JAX has such a callback.
         if not isinstance(lost.exc_value, Stopped):
             return hook(lost)
         stopped.clear()
@@ -90,10 +90,10 @@ def stoppable() -> Iterator[None]:
 
 
 class _Lasting(io.FileIO):
-    """A standard stream that goes on into nothing once it takes no more, its reader having left or its disk being full.
+    """A standard stream that becomes the null device when its reader is gone or the disk is full.
 
     Attributes:
-        fault: Why it takes no more; empty while it does, and where its reader has left.
+        fault: Reason of the failure; empty without failure, and if the reader is gone.
     """
 
     fault = ""
@@ -111,9 +111,10 @@ class _Lasting(io.FileIO):
 
 
 def outlive_readers() -> None:
-    """Let a command go on and write its files where nobody reads what it prints.
+    """Let a command continue and write its files when nobody reads its output.
 
-    A standard stream that was closed from the start becomes the null device: the next file would take its number.
+    A standard stream that is closed from the start becomes the null device; otherwise the next file would take its
+    number.
     """
     for number in range(3):
         try:
@@ -132,21 +133,21 @@ def outlive_readers() -> None:
 
 
 def _lasting(stream: Any) -> _Lasting | None:
-    """What `outlive_readers` put behind a stream."""
+    """Return the raw stream that `outlive_readers` put behind a stream, if any."""
     buffer = getattr(stream, "buffer", None)
     raw = getattr(buffer, "raw", buffer)
     return raw if isinstance(raw, _Lasting) else None
 
 
 def hand_over_output() -> None:
-    """Write what is still to be printed; one line and status 2 where it could not be, as on a full disk."""
+    """Flush standard output; end with one line and status 2 if that failed, as on a full disk."""
     sys.stdout.flush()
     if (output := _lasting(sys.stdout)) and output.fault:
         fail(f"standard output: {output.fault}; not all of it was printed")
 
 
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:
-    """End the program with these lines on the standard error, and this exit status."""
+    """End the program with these lines on standard error and this exit status."""
     for line in lines:
         print(f"frictionzoo: {escape_controls(line)}", file=sys.stderr)
     sys.exit(status)

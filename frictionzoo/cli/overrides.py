@@ -1,4 +1,4 @@
-"""Overrides on the command line: which files they choose, and those that Hydra would misread."""
+"""Overrides on the command line: the files that they choose, and corrections where Hydra would misread them."""
 
 import contextlib
 import math
@@ -16,22 +16,22 @@ from hydra.errors import HydraException
 from frictionzoo.core.config import CONF_DIR, list_choices
 from frictionzoo.core.errors import ConfigError, closest
 
-MOST_JOBS = 100_000  # of one range in a sweep
+MOST_JOBS = 100_000  # in one range of a sweep
 _RAISE = "HYDRA_FULL_ERROR"
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 _OPTIONAL_GROUPS = ("experiment", "variant", "start")
-# How lists, sections, quoted texts, references and Hydra's functions begin.
+# Beginnings of lists, sections, quoted texts, references and Hydra's functions.
 _FORMED = re.compile(rf"""[\[{{"']|\$\{{|({"|".join(create_functions().functions)})\(""")
 
 
 @contextlib.contextmanager
 def given_to_hydra(arguments: Sequence[str]) -> Iterator[None]:
-    """Let Hydra read these arguments, and raise what it refuses instead of printing a page of its own.
+    """Let Hydra read these arguments, and raise its errors instead of printing them.
 
-    It takes both from the process, which is afterwards as it was.
+    Hydra takes both from `sys.argv` and the environment, which are restored afterwards.
     """
     given, full = sys.argv, os.environ.get(_RAISE)
-    # It refuses overrides on both sides of a flag.
+    # Hydra refuses overrides on both sides of a flag.
     flags_first = sorted(arguments, key=lambda each: each.startswith("~") or ("=" in each and each[0] != "-"))
     sys.argv, os.environ[_RAISE] = [given[0], *flags_first], "1"
     try:
@@ -45,10 +45,10 @@ def given_to_hydra(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def refuse_no_choice(arguments: Sequence[str]) -> None:
-    """Refuse what is no override, and what does not choose one file of a group.
+    """Refuse overrides that cannot be read, and overrides of a group that do not choose one of its files.
 
     Raises:
-        ConfigError: One cannot be read, or chooses none, several, or something that is no name.
+        ConfigError: An override cannot be read, or chooses no file, several, or an unknown one.
     """
     for override in read_arguments(arguments):
         group = override.key_or_group
@@ -72,34 +72,38 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
 
 
 def _list_added(group: str, arguments: Sequence[str]) -> list[str]:
-    """Names of a group's files in the folder that the user adds by Hydra's flag --config-dir."""
+    """Return the names of a group's files in the folder of Hydra's flag --config-dir."""
     flags = [place for place, each in enumerate(arguments) if each.partition("=")[0] in ("--config-dir", "-cd")]
     folders = [arguments[place].partition("=")[2] or "".join(arguments[place + 1 : place + 2]) for place in flags]
     return sorted(path.stem for folder in folders for path in Path(folder, group).glob("*.yaml"))
 
 
 def _refuse_no_setting(override: Override) -> None:
-    """ConfigError for a setting of Hydra's that it would take for the working directory, or fail over."""
+    """Raise ConfigError for a Hydra setting that it would misread as the working directory, or crash on."""
     name, value = override.key_or_group, override.value()
     if name in _FOLDERS and value in (None, ""):
         raise ConfigError(f"{override.input_line}: expected a folder; name one, or leave it out")
     if name == "hydra.verbose" and not isinstance(value, bool | str | list):
         raise ConfigError(f"{override.input_line}: expected true, false, or names of loggers")
-    # Hydra would write them all down before the first one begins.
+    # Hydra would list all jobs before the first one begins.
     if isinstance(value, RangeSweep) and not 0 < _count(value) <= MOST_JOBS:
         came = f"{override.input_line}: {_count(value):.3g} jobs"
         raise ConfigError(f"{came}, expected 1 to {MOST_JOBS}; range(start,stop,step) ends before stop")
 
 
 def _count(values: RangeSweep) -> float:
-    """How many values a range has; below 0 or infinite where it leads nowhere."""
+    """Return the number of values of a range; negative or infinite for an invalid one."""
     start, stop, step = (float(number or 0) for number in (values.start, values.stop, values.step))
     steps = (stop - start) / step if step else math.inf
     return float(math.ceil(steps)) if math.isfinite(steps) else math.inf
 
 
 def read_arguments(arguments: Sequence[str]) -> Iterator[Override]:
-    """The arguments that are overrides; ConfigError where Hydra cannot read one, and would not name it."""
+    """Yield the arguments that are overrides.
+
+    Raises:
+        ConfigError: Hydra cannot read one; its error would not name it.
+    """
     for argument in arguments:
         if not _is_override(argument):
             continue
@@ -117,11 +121,11 @@ def read_arguments(arguments: Sequence[str]) -> Iterator[Override]:
 
 
 def quote_values(arguments: Sequence[str]) -> list[str]:
-    """Quote the values that Hydra cannot read and that can only be text, such as `bench.joint=.*_(hip|knee)`.
+    """Quote values that Hydra cannot read and that can only be text, such as `bench.joint=.*_(hip|knee)`.
 
-    A value that it reads keeps its meaning, as a sweep or a list say. Of a list, the elements are quoted. What begins
-    as a section, a quoted text, a reference or a function stays as it is, and so does what may be a sweep: a value with
-    commas outside brackets.
+    Values that Hydra can read, such as sweeps and lists, keep their meaning. In a list, the elements are quoted. Values
+    that begin like a section, a quoted text, a reference or a function do not change, nor do possible sweeps (values
+    with commas outside brackets).
     """
     return [_quote(each) if _is_override(each) and not _is_readable(each) else each for each in arguments]
 
@@ -140,13 +144,13 @@ def _quote(argument: str) -> str:
 def _quote_text(text: str) -> str:
     if _FORMED.match(text):
         return text
-    # In Hydra's grammar a backslash counts as one unless it stands before a quote.
+    # In Hydra's grammar, a backslash is literal unless it precedes a quote.
     doubled = re.sub(r'(\\*)("|$)', lambda found: 2 * found[1] + ('\\"' if found[2] else ""), text)
     return f'"{doubled}"'
 
 
 def _split(value: str) -> list[str]:
-    """The parts between commas that are outside brackets."""
+    """Split a value at commas outside brackets."""
     parts, depth = [""], 0
     for char in value:
         depth += (char in "([{") - (char in ")]}")
@@ -174,7 +178,7 @@ def _parse(argument: str) -> Override:
 
 
 def choices_named(override: Override) -> list[Any]:
-    """What an override chooses of a group: names, one for each job of a sweep, or whatever stands in their place."""
+    """Return the names that an override chooses, one for each job of a sweep, or the values in their place."""
     value = override.value()
     if isinstance(value, Glob):
         return value.filter(list_choices(override.key_or_group))
@@ -183,18 +187,18 @@ def choices_named(override: Override) -> list[Any]:
 
 
 def last_value(option: str, arguments: Sequence[str]) -> str | None:
-    """What an option is set to last on the command line, without quotes; None where it is not set."""
+    """Return the last value of an option on the command line, without quotes; None if it is not set."""
     values = [argument.partition("=")[2] for argument in arguments if argument.startswith(f"{option}=")]
     return values[-1].strip("'\"") if values else None
 
 
 def choices_of(chosen: Mapping[str, str | None]) -> Iterator[str]:
-    """Overrides that choose the same files of the configuration groups, which Hydra tells, and nothing else."""
+    """Yield overrides that choose the same files of the configuration groups as Hydra's `runtime.choices`."""
     for group, name in chosen.items():
         if name is not None and group != "experiment" and not group.startswith("hydra/"):
             yield f"{group}={name}"
 
 
 def is_group(name: str) -> bool:
-    """Whether a key of the command line chooses a file of conf/."""
+    """Return whether a key of the command line is a configuration group of conf/."""
     return bool(name) and (CONF_DIR / name).is_dir()

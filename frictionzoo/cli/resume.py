@@ -1,4 +1,4 @@
-"""How a run or a sweep that was stopped goes on: its folder keeps its settings, as the run had resolved them."""
+"""Resuming of a stopped run or sweep from the resolved settings in its folder."""
 
 import contextlib
 import json
@@ -23,15 +23,15 @@ from frictionzoo.core.output import RESULT, SETTLED, remove_written, to_json, wr
 SETTINGS = Path(".hydra", "settings.json")
 GROUPS = frozenset(path.name for path in CONF_DIR.iterdir() if path.is_dir()) - {"experiment", "hydra"}
 _OF_HYDRA = re.compile(r"[+~]*hydra\b|-")
-LOCAL_LOGGERS = ("csv", "tensorboard")  # write files only, and only into the run's folder
+LOCAL_LOGGERS = ("csv", "tensorboard")  # only write files, and only into the run's folder
 
 
 class Begun(NamedTuple):
-    """The request for a run, as its folder keeps it.
+    """The request for a run, as saved in its folder.
 
     Attributes:
         choices: File of each configuration group.
-        options: `KEY=VALUE` each, with which it was asked for; they are only shown.
+        options: Options of the command as `KEY=VALUE`, for display only.
         settings: All options, resolved.
     """
 
@@ -41,20 +41,24 @@ class Begun(NamedTuple):
 
     @classmethod
     def of(cls, choices: Mapping[str, str | None], options: Sequence[str], settings: Mapping[str, Any]) -> "Begun":
-        """Of a job, by what Hydra tells of it."""
+        """Return the request for a job, from Hydra's choices and overrides."""
         named = {group: name for group, name in choices.items() if group in GROUPS and name in list_choices(group)}
         return cls(cast(Mapping[str, str], named), list(options), settings)
 
     def save(self, folder: Path) -> None:
-        """Write `SETTINGS` into a run's folder; OutputError where it cannot be written."""
+        """Write `SETTINGS` into a run's folder.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
         write_atomically(folder / SETTINGS, f"{json.dumps(to_json(self._asdict()), indent=2)}\n".encode())
 
     @classmethod
     def read(cls, folder: Path) -> "Begun":
-        """Read `SETTINGS` of a run's folder, which may be a stranger's.
+        """Read `SETTINGS` of a run's folder, which may come from a stranger.
 
         Raises:
-            ConfigError: It is not there or not what this program writes, or chooses a file that does not exist.
+            ConfigError: The file is missing or invalid, or chooses a file that does not exist.
         """
         path = folder / SETTINGS
         if not path.exists():
@@ -81,10 +85,10 @@ class Begun(NamedTuple):
 
 
 def restore_overrides(arguments: Sequence[str]) -> list[str]:
-    """Return the overrides of a command; for `resume=FOLDER`, after the choices with which that run began.
+    """Return the overrides of a command; with `resume=FOLDER`, preceded by that run's choices.
 
     Raises:
-        ConfigError: There is no such run, or no such sweep, to go on with.
+        ConfigError: There is no such run or sweep to resume, or its logger needs consent.
     """
     named = last_value("resume", arguments)
     if named in (None, "null"):
@@ -105,16 +109,16 @@ def restore_overrides(arguments: Sequence[str]) -> list[str]:
 def restore_settings(
     folder: Path, config: DictConfig, plain: DictConfig, options: Sequence[str]
 ) -> tuple[DictConfig, list[str]]:
-    """Return the settings and the options of the run in a folder, with what today's command changes.
+    """Return the settings and options of a stored run, with the changes of the new command.
 
     Args:
-        folder: Of the run that goes on.
-        config: Composed of the run's choices of files and today's command.
-        plain: The same with nothing but the choices of groups.
-        options: Overrides that made it.
+        folder: Folder of the resumed run.
+        config: Configuration from the run's choices and the new command.
+        plain: Configuration from the choices of groups alone.
+        options: Overrides of `config`.
 
     Raises:
-        ConfigError: The run's settings are none that its files have, or refer to something outside them.
+        ConfigError: The run's settings do not fit its configuration files, or refer to something outside them.
     """
     begun = Begun.read(folder)
     choices = [*choices_of(begun.choices)]
@@ -125,7 +129,7 @@ def restore_settings(
 
 
 def _refuse_no_sweep(resume: str, arguments: Sequence[str]) -> None:
-    """Refuse to go on with a sweep that is not there."""
+    """Refuse to resume a sweep that does not exist."""
     if resume.lower() != "true":
         expected = "expected true, as a run goes on without -m; name a sweep's folder in hydra.sweep.dir"
         raise ConfigError(f"resume={resume}: {expected}")
@@ -142,7 +146,7 @@ def _holds_jobs(sweep: Path) -> bool:
 
 
 def record_job(config: DictConfig) -> dict[Path, bytes]:
-    """How a job begins, as Hydra writes it: the files of its record and their contents."""
+    """Return the files of a job's record, with the content that Hydra would write."""
     hydra: Any = HydraConfig.instance().cfg
     folder = Path(hydra.hydra.runtime.output_dir) / ".hydra"
     parts = {"config": config, "hydra": hydra, "overrides": hydra.hydra.overrides.task}
@@ -150,14 +154,18 @@ def record_job(config: DictConfig) -> dict[Path, bytes]:
 
 
 def write_record(record: Mapping[Path, bytes]) -> None:
-    """Write the record of a job into its folder; OutputError if that fails."""
+    """Write the record of a job into its folder.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
     for path, content in record.items():
         write_atomically(path, content)
 
 
 @contextlib.contextmanager
 def recorded(record: Mapping[Path, bytes]) -> Iterator[None]:
-    """Have the record of a job in its folder; if the job is refused, an earlier one, or none as before."""
+    """Write the record of a job into its folder; if the job is refused, restore the previous state."""
     files = {*record, *(path.with_name(SETTINGS.name) for path in record)}
     files |= {path.parents[1] / SETTLED for path in record}
     before = {path: path.read_bytes() for path in files if path.exists()}
@@ -165,7 +173,7 @@ def recorded(record: Mapping[Path, bytes]) -> Iterator[None]:
     try:
         yield
     except (FrictionzooError, OmegaConfBaseException, HydraException) as error:
-        if not isinstance(error, OutputError):  # of a disk that is full, a run goes on with its record
+        if not isinstance(error, OutputError):  # after a full disk, a run resumes with its record
             write_record(before)
             for path in files - {*before}:
                 remove_written(path)
@@ -175,7 +183,7 @@ def recorded(record: Mapping[Path, bytes]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def nothing_of_a_refused_run(made: Sequence[Path]) -> Iterator[None]:
-    """Remove folders that Hydra made for a run whose input is at fault, if nothing is in them; the innermost first."""
+    """Remove the empty folders that Hydra made for a refused run, the innermost first."""
     try:
         yield
     except FrictionzooError:
@@ -185,10 +193,10 @@ def nothing_of_a_refused_run(made: Sequence[Path]) -> Iterator[None]:
 
 
 def say_how_a_run_goes_on(folder: Path) -> str:
-    """What an unfinished run keeps in its folder, and how it goes on."""
+    """Return what an unfinished run has saved in its folder, and how to resume it."""
     try:
         Begun.read(folder)
-    except ConfigError:  # it had not come so far
+    except ConfigError:  # it ended before it saved anything
         return NOTHING_KEPT
     kept = "its options and automatic settings" if (folder / SETTLED).exists() else "its options"
     kept = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else kept
@@ -196,7 +204,7 @@ def say_how_a_run_goes_on(folder: Path) -> str:
 
 
 def say_how_a_sweep_goes_on(folder: Path | None = None) -> str:
-    """The same for a sweep; None before it has begun, when nothing is kept."""
+    """Return what an unfinished sweep has saved, and how to resume it; `folder` is None before it has begun."""
     if folder is None or not _holds_jobs(folder):
         return NOTHING_KEPT
     done = len(list(folder.rglob(RESULT)))

@@ -1,4 +1,4 @@
-"""Command line: `python -m frictionzoo.run model=coulomb_stribeck`. Composes and calls; decides nothing."""
+"""Command line: `python -m frictionzoo.run model=coulomb_stribeck` identifies a drive."""
 
 import contextlib
 import sys
@@ -40,11 +40,11 @@ from frictionzoo.result.types import Result
 
 @hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")
 def _job(config: DictConfig) -> float:
-    """One job of Hydra's; returns what a sweeper may minimise."""
+    """Run one job for Hydra; return the objective for a sweeper."""
     hydra_config = HydraConfig.get()
     model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
     record, inside = record_job(config), {hydra_config.runtime.choices["logger"]} & LOGGERS
-    # A run's record does not tell whether it was interrupted.
+    # A run's record does not depend on whether it was interrupted.
     resumed, config.resume = config.resume, None
 
     def begin() -> tuple[Result, str | None]:
@@ -54,17 +54,17 @@ def _job(config: DictConfig) -> float:
     if hydra_config.mode == RunMode.MULTIRUN:
         options = hydra_config.overrides.task
         finished = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True)) if resumed else None
-        # In processes of a launcher, nobody else answers.
+        # Processes of a launcher have no other handler.
         outlive_readers()
         with stoppable():
             return run_in_sweep(begin, folder, model, options, explain, finished, inside)
     named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)
-    # Ended inside, because Hydra adds a line of its own to an error that passes through it.
+    # Errors end here, because Hydra adds a line to an error that passes through it.
     with (
         mistakes_in_one_line(lambda: say_how_a_run_goes_on(folder)),
         nothing_of_a_refused_run([] if named else folders_made()),
         occupy(folder, wait=False, names=RUN_FILES, inside=inside),
-        # What a run keeps of how it began stays: today's command may be a mistaken one.
+        # A resumed run keeps its first record, because the new command may be a mistake.
         contextlib.nullcontext() if resumed else recorded(record),
     ):
         result, complaint = _identify(config, folder, goes_on=resumed is not None)
@@ -90,7 +90,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
     model = choices["model"]
     tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
     build(settings["data"], Source).find()
-    # Imported here, so that --help and a mistake in the input do not wait, and that torch and JAX meet the limit.
+    # Imported here, so that --help and mistakes need not wait, and that torch and JAX see the thread limit.
     from frictionzoo.bench.given import Given
 
     given = Given.read(settings)
@@ -106,7 +106,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
 
 @contextlib.contextmanager
 def _quiet_writers() -> Iterator[None]:
-    """Print nothing about a thread that a full disk ended: TensorBoard hands its error to whoever writes next."""
+    """Print nothing about a thread that a full disk ended: TensorBoard raises its error at the next write."""
     hook = threading.excepthook
     threading.excepthook = lambda thread: None if isinstance(thread.exc_value, OSError) else hook(thread)
     try:
@@ -116,14 +116,14 @@ def _quiet_writers() -> Iterator[None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of `python -m frictionzoo.run`.
+    """Run `python -m frictionzoo.run`.
 
-    A user's mistake is one line on the standard error and exit status 2. In a sweep, it is one line for each job that
-    failed, after the last one. A fit that did not identify the drive ends with status 3. Ctrl-C ends it with one line
-    and status 130, SIGTERM with status 143.
+    A user's mistake gives one line on standard error and exit status 2; a sweep prints one line for each failed job
+    after the last one. A fit that did not identify the drive gives status 3. Ctrl-C gives one line and status 130,
+    SIGTERM status 143.
 
     Args:
-        arguments: Those of the command line where None.
+        arguments: Arguments; None for those of the command line.
     """
     register_resolvers()
     forget_plugin_schemas()
@@ -138,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run_jobs(begun: Sequence[Path]) -> str | None:
-    """All jobs; returns one line of complaint if a sweep ended early."""
+    """Run all jobs; return a one-line message if a sweep ended early."""
     try:
         _job()
     except Exception as error:
@@ -150,7 +150,7 @@ def _run_jobs(begun: Sequence[Path]) -> str | None:
 
 
 def _conclude(sweep: Path, complaint: str | None) -> None:
-    """Compare the jobs of a sweep, say what failed in it, and end with the exit status that belongs to it."""
+    """Compare the jobs of a sweep, print its failures, and exit with its status."""
     comparison, text, complaints = conclude_sweep(sweep)
     say(text)
     if complaint:

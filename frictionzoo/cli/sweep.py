@@ -1,4 +1,4 @@
-"""A sweep of many jobs: one that fails leaves its reason and does not end the others."""
+"""Sweeps: a job that fails records its reason and does not stop the others."""
 
 import contextlib
 import json
@@ -24,19 +24,19 @@ from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock
 from frictionzoo.result.types import Result
 
 _log = logging.getLogger(__name__)
-# Hydra makes the callback itself: what it learns can be handed to its maker only beside it.
+# Hydra creates the callback itself, so it can pass data to this program only through context variables.
 _begun: ContextVar[list[Path]] = ContextVar("begun")
 _made: ContextVar[list[Path]] = ContextVar("made", default=[])  # noqa: B039 - never changed, only replaced
 _SWEEP_RECORD = "multirun.yaml"  # Hydra's
 
 
 class SweepFolder(Callback):
-    """Hydra's callback by which the program learns its sweep's folder."""
+    """Hydra callback that reports the sweep's folder to the program."""
 
     @staticmethod
     @contextlib.contextmanager
     def noted() -> Iterator[list[Path]]:
-        """The folder of the sweep that is begun inside, from then on; empty for a single job."""
+        """Yield a list to which a sweep adds its folder when it begins; it stays empty for a single job."""
         token = _begun.set([])
         try:
             yield _begun.get()
@@ -44,17 +44,17 @@ class SweepFolder(Callback):
             _begun.reset(token)
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Note which folders are made for a single job."""
+        """Record the folders that Hydra makes for a single job."""
         hydra, before = HydraConfig.instance(), HydraConfig.instance().cfg
         try:
-            hydra.set_config(config)  # which the folder's name refers to
+            hydra.set_config(config)  # the folder's name refers to it
             folder = Path(config.hydra.run.dir).absolute()
         finally:
             hydra.cfg = before
         _made.set([place for place in (folder, *folder.parents[:2]) if not place.exists()])
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Note the folder; have a Ray cluster of this machine listen on its loopback interface only."""
+        """Record the sweep's folder; restrict a local Ray cluster to the loopback interface."""
         folder = Path(config.hydra.sweep.dir).absolute()
         with mistakes_in_one_line():  # Hydra would only warn
             manifest = Manifest(folder, "sweep")
@@ -62,13 +62,13 @@ class SweepFolder(Callback):
             with saying(folder):
                 manifest.record({_SWEEP_RECORD: State.of(OmegaConf.to_yaml(config).encode())})
         _begun.get([]).append(folder)
-        # Read by Ray when it is imported; without it a node listens on all interfaces, whatever its address.
+        # Ray reads this on import; without it, a node listens on all interfaces, whatever its address.
         if OmegaConf.select(config, "hydra.launcher.ray.init.address") == "local":
             os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
 
 
 def folders_made() -> list[Path]:
-    """Folders that Hydra makes for the single job that begins, the innermost first."""
+    """Return the folders that Hydra makes for a single job, the innermost first."""
     return _made.get()
 
 
@@ -81,24 +81,24 @@ def run_in_sweep(
     finished: Mapping[str, Any] | None = None,
     inside: Collection[str] = (),
 ) -> float:
-    """Run one job of a sweep; whatever it raises becomes `failure.json` in its folder, if that can be written.
+    """Run one job of a sweep, and write an error that it raises to `failure.json` in its folder, if possible.
 
-    Where another process works in the folder, this one waits until it has ended.
+    If another process works in the folder, wait for its end.
 
     Args:
-        job: Returns what `result.json` holds, and a complaint if the fit diverged.
+        job: Returns the content of `result.json`, and a message if the fit diverged.
         folder: The job's folder; results of an earlier job in it are removed.
-        model: The chosen model.
+        model: Name of the model.
         overrides: The job's options.
-        explain: One line for an error that a user can cause, None for an unexpected one.
-        finished: The job's settings, if a `result.json` with just these is to stand instead of being made again.
+        explain: Returns one line for an error that a user can cause, None for an unexpected one.
+        finished: The job's settings, if an existing `result.json` with equal settings is to be kept; else None.
         inside: Subfolders that the job's logger writes.
 
     Returns:
-        What a sweeper may minimise, see `objective_of`; infinite for a job that failed.
+        The objective for a sweeper, see `objective_of`; infinite for a failed job.
 
     Raises:
-        OutputError: Foreign files are in the way in the job's folder.
+        OutputError: The job's folder contains conflicting files of other origin.
     """
     with occupy(folder, wait=True, names=RUN_FILES, inside=inside) as manifest:
         if finished is not None and (result := _read_finished(folder, finished)):
@@ -113,7 +113,7 @@ def run_in_sweep(
             result, complaint = None, foreseen or describe(error)
             content = {"model": model, "overrides": list(overrides), "reason": complaint}
             _log.error("%s: %s", folder.name, complaint, exc_info=None if foreseen else error)
-            # On a full disk the log alone tells it: an error here, Hydra would report in lines of its own.
+            # On a full disk only the log reports it, because Hydra would print an error from here in extra lines.
             with contextlib.suppress(OutputError):
                 write_atomically(folder / FAILURE, f"{json.dumps(content, indent=2)}\n".encode())
         else:
@@ -123,7 +123,7 @@ def run_in_sweep(
 
 
 def _read_finished(folder: Path, settings: Mapping[str, Any]) -> Result | None:
-    """What a job's `result.json` holds if this version made it with these settings, else None."""
+    """Return the content of a job's `result.json` if this version made it with these settings, else None."""
     try:
         result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
         same = result["settings"] == json.loads(json.dumps(to_json(settings)))
@@ -133,27 +133,26 @@ def _read_finished(folder: Path, settings: Mapping[str, Any]) -> Result | None:
 
 
 def objective_of(result: Result) -> float:
-    """What a sweeper may minimise: the mean position error of open-loop rollouts of the training part [rad or m].
+    """Return the objective for a sweeper: the mean position error of open-loop training rollouts [rad or m].
 
-    Unlike the loss, it does not depend on how segments are cut or errors are weighted, so that jobs compare; and the
-    test part stays unseen by what is chosen by it. Infinite if a rollout diverged, which the mean leaves out.
+    Unlike the loss, it does not depend on segments and weights, so that jobs are comparable, and it does not use test
+    data. It is infinite if a rollout diverged, because the mean ignores diverged rollouts.
     """
     train = result["metrics"]["train"]
     return math.inf if train["diverged"] or train["position_mae"] is None else float(train["position_mae"])
 
 
 def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[str]]:
-    """Compare what the jobs of a sweep left, in whatever processes and on whatever machines they ran.
+    """Compare the jobs of a sweep from their files, wherever they ran.
 
-    Waits for jobs that still run, as some do when their launcher gave up on another one.
+    Wait for jobs that still run, as some do after their launcher gave up on another one.
 
     Args:
-        folder: The sweep's folder; the comparison goes into its `comparison/`.
+        folder: The sweep's folder; the comparison is written to its `comparison/`.
 
     Returns:
-        What `comparison.json` holds, or None where nothing can be compared; what to tell the user; and one line for
-        each job that failed: with a `failure.json`, with a fit that diverged, or with neither file because its process
-        was killed.
+        Content of `comparison.json`, or None if nothing can be compared; the text for the user; and one line for each
+        failed job: with a `failure.json`, with a diverged fit, or without a file because its process was killed.
 
     Raises:
         OutputError: The comparison cannot be written.
@@ -161,7 +160,7 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
     for path in filter(is_lock, folder.rglob(RUNNING)):
         with FileLock(path):
             pass
-    # Imported here, so that --help and a typing error do not wait for it.
+    # Imported here, so that neither --help nor a mistake waits for it.
     from frictionzoo.comparison.files import write_comparison
     from frictionzoo.show.terminal import summarise_comparison
 
@@ -175,7 +174,7 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
 
 
 def _complaint(folder: Path) -> str | None:
-    """What is wrong with the job in a folder; None if it did its work."""
+    """Return why the job in a folder failed; None if it did not."""
     if failure := read_failure(folder):
         return failure.reason
     fit = read_json(folder / RESULT).get("fit", {})
@@ -185,6 +184,6 @@ def _complaint(folder: Path) -> str | None:
 
 
 def describe(error: Exception) -> str:
-    """One line for an unexpected error: its type and the first line of its message."""
+    """Return one line for an unexpected error: its type and the first line of its message."""
     lines = str(error).strip().splitlines()
     return ": ".join([type(error).__name__, *lines[:1]])

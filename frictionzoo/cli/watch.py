@@ -10,14 +10,14 @@ from frictionzoo.core.telling import Parser
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; without arguments, for those of the command line.
+    """Run the command; `arguments` default to `sys.argv`.
 
-    A user's mistake is one line and exit status 2, which is also that of a job that failed or was stopped. Ctrl-C ends
-    it with status 130, and what it watched goes on.
+    A user's mistake ends it with one line and status 2, a failed or stopped job with status 2. Ctrl-C ends it with
+    status 130; the watched jobs continue.
     """
     parsed = _parse(arguments)
     with mistakes_in_one_line(lambda: "the watched jobs continue"):
-        # Imported here, so that --help does not wait for it.
+        # Imported here, so that --help need not wait for it.
         from frictionzoo.watch.follow import follow, show
         from frictionzoo.watch.jobs import Watched
 

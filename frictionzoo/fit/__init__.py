@@ -1,4 +1,4 @@
-"""Fits: from segments and a simulated drive to identified parameters; methods are found in the files, not listed."""
+"""Fits: from segments and a simulated drive to identified parameters; methods register themselves."""
 
 from frictionzoo.fit.base import REGISTRY, Fit, register_method
 from frictionzoo.fit.loggers import RunLogger
@@ -23,5 +23,5 @@ __all__ = [
 
 
 def __getattr__(name: str) -> type[Fit]:
-    """A method by the name of its class, as `_target_` has it; its own module has its type."""
+    """Return a fit method by its class name, for `_target_`; type checkers see it in its module only."""
     return REGISTRY.find_class(name)

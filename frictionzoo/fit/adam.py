@@ -1,4 +1,4 @@
-"""Adam on the whole training set, the paper's recipe for every gradient model."""
+"""Adam on the whole training set, the paper's method for every model that it fits by gradients."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -21,7 +21,7 @@ SCHEDULES: Mapping[str, Callable[[float, int], Any]] = {
 class Adam(Fit):
     """optax's Adam in scaled coordinates, projected onto the bounds after each step.
 
-    Projection keeps the gradient at a bound alive, so that a parameter that touched it can come back.
+    A parameter at a bound keeps its gradient and can move away from the bound again.
 
     Source: D. Kingma, J. Ba, "Adam: A Method for Stochastic Optimization", 2015; Kovalev et al. 2026 for the recipe;
     I. Loshchilov, F. Hutter, "SGDR: Stochastic Gradient Descent with Warm Restarts", 2017, for the cosine.
@@ -29,11 +29,11 @@ class Adam(Fit):
     Args:
         iterations: Number of updates.
         learning_rate: Step of a coordinate; in logarithmic coordinates a share of the value.
-        b2: Share that the mean of squared gradients keeps from one iteration to the next, in [0, 1).
-        derivative: `forward`, `reverse` or `auto`.
-        schedule: `constant`, or `cosine`: the rate falls to 0 by half a cosine over the iterations. At a constant rate
-            the weights of a network go on jumping about their best values.
-        start: The method at whose end this one begins, such as `InverseDynamics`; None: at the initial values.
+        b2: Decay rate of the mean of squared gradients, in [0, 1).
+        derivative: `forward`, `reverse` or `auto`; see `Objective.value_and_grad`.
+        schedule: `constant`, or `cosine`: the rate falls to 0 over the iterations by half a cosine. At a constant rate
+            a network's weights keep oscillating about their best values.
+        start: The method whose result is the starting point, such as `InverseDynamics`; None for the initial values.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -64,7 +64,7 @@ class Adam(Fit):
         self._optimiser = optax.adam(SCHEDULES[schedule](learning_rate, iterations), b2=b2)
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError where nothing is to be identified."""
+        """See `Fit.total`; raises ConfigError if there is no parameter to identify."""
         refuse_nothing(objective)
         return self._iterations
 
@@ -81,5 +81,5 @@ class Adam(Fit):
         return Seen(loss, gradient, lost), jnp.clip(moved, objective.space.low, objective.space.high), moments
 
     def prepare(self, objective: Objective) -> None:
-        """See `Fit.prepare`: the gradient of a law that exists only in torch."""
+        """See `Fit.prepare`; evaluates the gradient of a model that exists only in torch once."""
         objective.value_and_grad(self._derivative)(objective.space.start, objective.data)

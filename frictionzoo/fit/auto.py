@@ -1,4 +1,4 @@
-"""The method that suits the law: what one sweep over laws of all kinds takes."""
+"""Automatic choice of the method by the model, for sweeps over models of all kinds."""
 
 from typing import Any
 
@@ -12,17 +12,17 @@ from frictionzoo.fit.objective import Objective
 
 @register_method("auto")
 class Auto(Fit):
-    """Levenberg-Marquardt where it can be had; Adam for networks and for laws that exist only in torch.
+    """Levenberg-Marquardt where it applies; Adam for networks and for models that exist only in torch.
 
     Args:
         tries: `iterations` of `LevenbergMarquardt`.
-        tolerance: Of `LevenbergMarquardt`.
-        iterations: Of `Adam`.
-        learning_rate: Of `Adam`.
-        b2: Of `Adam`.
-        derivative: Of `Adam`.
-        schedule: Of `Adam`.
-        start: Of either.
+        tolerance: `tolerance` of `LevenbergMarquardt`.
+        iterations: `iterations` of `Adam`.
+        learning_rate: `learning_rate` of `Adam`.
+        b2: `b2` of `Adam`.
+        derivative: `derivative` of `Adam`.
+        schedule: `schedule` of `Adam`.
+        start: `start` of both.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -50,9 +50,9 @@ class Auto(Fit):
         return self._lm if few and not objective.torch_law else self._adam
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError where nothing is to be identified."""
+        """See `Fit.total`; raises ConfigError if there is no parameter to identify."""
         return self.choose(objective).total(objective)
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
-        """Not its own: `choose` names the method that does the work."""
+        """See `Fit.step`; the method of `choose` does it."""
         return self.choose(objective).step(objective, vector, state, data)

@@ -1,4 +1,4 @@
-"""The interface of a fit method: where it begins, one iteration, and whether there is more to gain."""
+"""Interface of a fit method: its start, one iteration, and whether it has converged."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -21,16 +21,16 @@ from frictionzoo.fit.recordings import Recordings
 Scores = Callable[
     [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
 ]
-"""From a vector to the normal equations there, and the part of the gradient that comes from each stretch of time."""
+"""Function of a vector that gives the normal equations there, and the gradient of each stretch of time."""
 
 
 class Seen(NamedTuple):
-    """What a method saw at one vector.
+    """Evaluation of the objective at one vector.
 
     Attributes:
         loss: The objective, of shape ().
         gradient: Its gradient, of shape (coordinates,); zeros where the method uses none.
-        lost: Whether the method cannot go on from here.
+        lost: Whether the method cannot continue from here.
     """
 
     loss: Any
@@ -39,18 +39,17 @@ class Seen(NamedTuple):
 
 
 class Fit(Described, ABC):
-    """A way of finding parameters, vector by vector.
+    """Iterative method that finds parameters, one vector per iteration.
 
-    What goes around it is the loop's: chunks of iterations, history, the best vector, checkpoints. A method keeps what
-    it needs in a state of its own, a pytree of arrays, and holds nothing that changes.
+    The loop handles chunks of iterations, history, the best vector and checkpoints. A method is immutable: it keeps
+    what changes in a state, a pytree of arrays.
 
     Attributes:
-        name: Its name in results, set by `register_method`.
-        traced: Whether `step` is a JAX function, which the loop compiles; otherwise it is called from Python.
-        start: The method at whose best vector this one begins; None: at the initial values.
-        filtering: How recorded torque is compared with what the identified drive needs, where the evaluation does not
-            say otherwise.
-        held: Whether a recorded command acts until the next sample there.
+        name: Name in results, set by `register_method`.
+        traced: Whether `step` is a JAX function that the loop compiles; otherwise it is called from Python.
+        start: The method whose best vector is the starting point; None for the initial values.
+        filtering: Default filtering of torques when the evaluation compares recorded and identified torque.
+        held: Whether a recorded command acts until the next sample in that comparison.
     """
 
     name: ClassVar[str]
@@ -60,64 +59,64 @@ class Fit(Described, ABC):
     held: bool = True
 
     def revise(self, recordings: Recordings) -> LinkInertia | None:
-        """What the method finds of the test stand itself, before anything is simulated; None: it stays as it is."""
+        """Identify link inertia and gravity of the bench before any simulation; None to change nothing."""
         return None if self.start is None else self.start.revise(recordings)
 
     def choose(self, objective: Objective) -> "Fit":
-        """The method that does the work for this objective: this one, unless it leaves the choice to the law."""
+        """Return the method to run for this objective: this one, unless its choice depends on the model."""
         return self
 
     @abstractmethod
     def total(self, objective: Objective) -> int:
-        """Largest number of iterations that the whole fit takes.
+        """Return the largest number of iterations of the whole fit.
 
         Raises:
             ConfigError: The method cannot search this space.
         """
 
     def init(self, objective: Objective) -> tuple[Any, Any]:
-        """The vector that is tried first, and the method's state then."""
+        """Return the first vector to try, and the method's initial state."""
         return objective.space.start, ()
 
     @abstractmethod
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
-        """One iteration.
+        """Do one iteration.
 
         Args:
-            objective: What is minimised.
-            vector: What is tried, of shape (coordinates,).
-            state: The method's own.
-            data: What the objective's functions take.
+            objective: The objective to minimise.
+            vector: The vector to evaluate, of shape (coordinates,).
+            state: The method's state.
+            data: The data argument of the objective's functions.
 
         Returns:
-            What was seen at the vector, the vector that is tried next, and the state then.
+            The evaluation at the vector, the next vector, and the next state.
         """
 
     def done(self, state: Any) -> Any:
-        """Whether the method sees nothing left to gain."""
+        """Return whether the method has converged."""
         return False
 
     def prepare(self, objective: Objective) -> None:
-        """Compile what `step` calls, where the loop does not compile it as a whole."""
+        """Compile what `step` calls, if the loop does not compile `step` itself."""
 
     def compile_scores(self, objective: Objective) -> Scores:
-        """What intervals of the result are taken from: the objective's own, unless the method has another loss."""
+        """Return the function from which confidence intervals follow: the objective's, unless the loss differs."""
         return objective.compile_scores()
 
 
 class Search(Fit):
-    """A method whose iterations do not look at what the ones before found: the loop tries many vectors at once."""
+    """Method whose vectors do not depend on earlier results, so that the loop evaluates many at once."""
 
     @abstractmethod
     def candidate(self, objective: Objective, iteration: Any) -> Float[Array, "coordinates"]:
-        """The vector of an iteration, counted from 0."""
+        """Return the vector of an iteration, counted from 0."""
 
     def init(self, objective: Objective) -> tuple[Any, Any]:
         """See `Fit.init`."""
         return self.candidate(objective, jnp.asarray(0)), jnp.asarray(0)
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
-        """See `Fit.step`. A vector without a finite loss loses; it does not end the search."""
+        """See `Fit.step`. A loss that is not finite does not end the search."""
         following = state + 1
         seen = Seen(objective.loss(vector, data), jnp.zeros_like(vector), lost=False)
         return seen, self.candidate(objective, following), following
@@ -126,18 +125,18 @@ class Search(Fit):
 REGISTRY = Registry(KINDS["methods"], Fit, "step")
 
 register_method = REGISTRY.register
-"""Class decorator that makes a fit method known by its name, as `Registry.register`."""
+"""Class decorator that registers a fit method under a name; see `Registry.register`."""
 
 
 def as_start(start: Any) -> Fit | None:
-    """What an argument `start` gives, a method or None; ConfigError for anything else."""
+    """Return an argument `start` if it is a method or None; raise ConfigError otherwise."""
     if start is not None:
         refuse_unlike("fit.start", start, Fit, "another fit, such as start=inverse_dynamics, or null")
     return start
 
 
 def refuse_nothing(objective: Objective) -> None:
-    """ConfigError where nothing is to be identified."""
+    """Raise ConfigError if there is no parameter to identify."""
     if not objective.space.names:
         raise ConfigError(
             "no parameter is to be identified, expected at least one; set identify: true for one, or fit=known"
@@ -145,7 +144,7 @@ def refuse_nothing(objective: Objective) -> None:
 
 
 def refuse_torch(objective: Objective, name: str) -> None:
-    """ConfigError for a law that exists only in torch, of which there is a gradient and nothing else."""
+    """Raise ConfigError for a model that exists only in torch, which has a gradient but no Jacobian."""
     if objective.torch_law:
         raise ConfigError(
             f"fit={name}: {objective.torch_law} exists only in torch, expected a formula over xp; use fit=adam"

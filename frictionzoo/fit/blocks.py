@@ -1,4 +1,4 @@
-"""Segments as a fit holds them: in blocks that fit into a processor's cache, spread over the devices."""
+"""Segments in blocks that fit into a processor's cache, spread over the devices."""
 
 import operator
 from collections.abc import Callable, Iterable, Iterator
@@ -18,20 +18,21 @@ from frictionzoo.simulate.torch_rollout import TorchRollout
 
 T = TypeVar("T")
 BLOCK_STATES = 25_000
-"""States of a joint that are simulated at once: they fit into a processor's cache, and memory does not grow."""
+"""Joint states simulated at once; they fit into a processor's cache and bound the memory."""
 
 KEPT_STATES, KEPT_BLOCKS = 100_000, 2
-"""The same where rollouts keep what tangents need: these are not simulated along, and more fit. At least so many blocks
-are made then, for several threads."""
+"""The same, with a least number of blocks for several threads, where rollouts store what tangents need. Tangents are
+then not simulated with the states, and more states fit."""
 
 SHARED_STATES = 10_000
-"""States from which on there are two blocks at least, for two threads; operations on fewer take as long as on half."""
+"""Least number of states for two blocks and two threads; with fewer states, half of them take as long as all."""
 
 MOST_STRETCHES = 50
-"""Stretches into which the segments are divided at most, in their order in time."""
+"""Largest number of stretches into which the segments are divided, in order of time."""
 
 ENOUGH_RECORDINGS = 10
-"""Recordings from which on none is divided: of 9 degrees of freedom, Student's quantile is 15 % above the normal's."""
+"""Least number of recordings for stretches of whole recordings: with 9 degrees of freedom, Student's quantile is 15 %
+above the normal one."""
 
 
 class Blocks(NamedTuple):
@@ -40,16 +41,16 @@ class Blocks(NamedTuple):
     Attributes:
         qpos: Measured position [rad or m], (blocks, segments, states, nv).
         qvel: Measured velocity [rad/s or m/s], of the same shape.
-        signals: What drives them, each (blocks, segments, samples, nv).
-        load: What payloads change in the bench's model, (blocks, segments, load).
+        signals: Commands and other recorded signals, each (blocks, segments, samples, nv).
+        load: Changes that payloads make to the bench's model, (blocks, segments, load).
         weight: 1; 0 for a segment that only fills the last block.
-        stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
+        stretch: Number of the segment's stretch of consecutive segments, from 0.
         linked: 1 where the next segment begins at the end of this one; 0 elsewhere.
-        begun: Initial states at which the search for those that fit best begins, (blocks, segments, twice nv).
-        counts: 1; 0 for a joint in an interval in which it is too slow, (blocks, segments, intervals, nv). None where
-            all count.
-        inertia: Joint-space inertia without armature where each begins [kg m^2 or kg], (blocks, segments, nv, nv). None
-            where errors do not count by impulse.
+        begun: Initial states at which their search begins, (blocks, segments, twice nv).
+        counts: 1; 0 for an interval in which the joint is too slow, (blocks, segments, intervals, nv). None where all
+            count.
+        inertia: Joint-space inertia without armature at the start of each segment [kg m^2 or kg], (blocks, segments,
+            nv, nv). None where errors are not impulses.
     """
 
     qpos: Any
@@ -65,60 +66,60 @@ class Blocks(NamedTuple):
 
 
 def measured_states(qpos: Any, qvel: Any) -> Any:
-    """Where segments start as measured, (blocks, segments, twice nv)."""
+    """Return the measured initial states of segments, (blocks, segments, twice nv)."""
     xp = np if isinstance(qpos, np.ndarray) else jnp
     return xp.concatenate([qpos[:, :, 0], qvel[:, :, 0]], axis=2)
 
 
 def without_motion(data: Blocks) -> Blocks:
-    """Return which segments count and which belong together, in numpy, without recorded motion."""
+    """Return the blocks without motion, signals, load, counts and inertia, in numpy."""
     return jax.tree.map(
         np.asarray, data._replace(qpos=None, qvel=None, signals=None, load=None, counts=None, inertia=None)
     )
 
 
 def devices_of(rollout: Rollout) -> list[Any]:
-    """Over which the segments are spread; torch works on one."""
+    """Return the devices for the segments; torch uses one."""
     device = jax.config.jax_default_device
     devices = jax.local_devices(backend=device.platform if device is not None else None)
     return devices[:1] if isinstance(rollout, TorchRollout) else devices
 
 
 def each(data: Blocks) -> Iterator[Blocks]:
-    """The blocks one after the other."""
+    """Yield the blocks."""
     for index in range(len(data.weight)):
         yield jax.tree.map(operator.itemgetter(index), data)
 
 
 def each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Blocks, Array, Array]]:
-    """The same, with where their segments and the next ones start."""
+    """Yield each block with the initial states of its segments and of the segments after them."""
     for index, block in enumerate(each(data)):
         yield block, states[0][index], states[1][index]
 
 
 def side_by_side(function: Callable[[Any], T], parts: Iterable[Any], devices: int) -> list[T]:
-    """Of each part: operations are too small for several threads, blocks side by side are not.
+    """Apply a function to all parts, in parallel threads if there is one device.
 
-    Devices have threads of their own.
+    A single operation is too small for several threads; a block is not. Several devices have their own threads.
     """
     with ThreadPoolExecutor(usable_threads() if devices == 1 else 1) as pool:
         return list(pool.map(function, parts))
 
 
 def alone(block: Blocks) -> Blocks:
-    """As data of one block."""
+    """Return data of this block alone."""
     return jax.tree.map(lambda part: part[None], block)
 
 
 def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
-    """In float64, in which blocks are summed."""
+    """Convert arrays to float64, in which blocks are summed."""
     return [np.asarray(part, np.float64) for part in parts]
 
 
 def divide(segments: Segments) -> Int[np.ndarray, "batch"]:
-    """Number of the stretch to which each segment belongs, from 0.
+    """Return the number of the stretch of each segment, from 0.
 
-    A stretch is one recording or several where there are enough of these, and otherwise a part of the time.
+    With `ENOUGH_RECORDINGS` recordings or more a stretch is one or several recordings, otherwise a period of time.
     """
     number = np.arange(segments.count)
     if segments.recording is not None:
@@ -136,15 +137,15 @@ def into_blocks(
     counts: np.ndarray | None = None,
     inertia: np.ndarray | None = None,
 ) -> Blocks:
-    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight.
+    """Cut segments into equal blocks; the last segment, with weight 0, fills up the last block.
 
     Args:
-        segments: What to hold.
-        stretch: To which stretch each of them belongs, as `divide` has it.
-        dtype: Of numbers.
-        rollout: What will simulate them.
-        counts: As `Blocks` has it, by segment.
-        inertia: Likewise.
+        segments: The segments.
+        stretch: Number of each segment's stretch; see `divide`.
+        dtype: Data type of the arrays.
+        rollout: The rollout that will simulate the segments.
+        counts: As in `Blocks`, by segment.
+        inertia: As in `Blocks`, by segment.
     """
     devices, kept = devices_of(rollout), rollout.keeps_slopes
     largest = max(1, (KEPT_STATES if kept else BLOCK_STATES) // (segments.length * segments.qpos.shape[2]))

@@ -1,4 +1,4 @@
-"""A chunk of a fit's iterations, whatever the method: what it advances, and what it writes down of each."""
+"""Chunks of a fit's iterations, for every method: progress, and a trace of each iteration."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,22 +14,22 @@ from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.objective import Objective
 
 _ARRAYS = ("iteration", "vector", "best", "best_iteration", "broken", "converged", "gradient")  # JAX's, between chunks
-MOST_STATES = 1_000_000_000  # simulated at once: some GB of memory
+MOST_STATES = 1_000_000_000  # states simulated at once: some GB of memory
 
 
 class Progress(NamedTuple):
-    """Where a fit stands.
+    """Progress of a fit.
 
     Attributes:
-        iteration: Iterations done.
+        iteration: Number of iterations done.
         vector: Coordinates of the next iteration.
         best: Coordinates with the lowest loss so far.
         best_loss: That loss; infinite before the first.
         best_iteration: Its iteration, from 0; -1 before the first.
-        broken: Whether the method was lost; then nothing moves any more.
-        converged: Whether the method sees nothing left to gain.
+        broken: Whether the method cannot continue; then nothing changes any more.
+        converged: Whether the method has converged.
         gradient: The gradient of the last iteration.
-        method: What the method keeps besides (moments of Adam).
+        method: State of the method, such as Adam's moments.
     """
 
     iteration: Int[Any, ""]
@@ -44,11 +44,11 @@ class Progress(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """One row an iteration, in JAX inside a chunk and in numpy outside.
+    """Record with one row per iteration, in JAX inside a chunk and in numpy outside.
 
     Attributes:
         loss: The objective, of shape (rows,).
-        grad_norm: Length of its gradient, of shape (rows,); 0 where the method uses none.
+        grad_norm: Norm of its gradient, of shape (rows,); 0 where the method uses none.
         params: Values of the identified physical parameters, each of shape (rows, nv).
     """
 
@@ -58,11 +58,11 @@ class Trace(NamedTuple):
 
 
 Chunk = Callable[[Progress, int], tuple[Progress, Trace]]
-"""(progress, count) to the progress after up to `count` more iterations, and a trace whose first rows are theirs."""
+"""Function of a progress and a count that does up to `count` iterations; their rows come first in the trace."""
 
 
 def begin(fit: Fit, objective: Objective) -> Progress:
-    """Progress before the first iteration."""
+    """Return the progress before the first iteration."""
     vector, method = fit.init(objective)
     vector = jnp.asarray(vector, objective.space.start.dtype)
     return Progress(
@@ -79,7 +79,7 @@ def begin(fit: Fit, objective: Objective) -> Progress:
 
 
 def search(fit: Fit, objective: Objective) -> tuple[Progress, Trace]:
-    """A whole fit in one chunk, without a record of it.
+    """Run a whole fit in one chunk, without record or checkpoints.
 
     Raises:
         ConfigError: The method cannot search this space.
@@ -90,12 +90,12 @@ def search(fit: Fit, objective: Objective) -> tuple[Progress, Trace]:
 
 
 def make_chunk(fit: Fit, objective: Objective, size: int) -> Chunk:
-    """The function that does up to `size` iterations, compiled as far as the method and the law can be.
+    """Return a function that does up to `size` iterations, compiled as far as method and model allow.
 
-    How iterations are cut into chunks does not change a bit of the result: an interrupted fit goes on in others.
+    The size of the chunks does not change a bit of the result, so an interrupted fit can resume with other chunks.
 
     Raises:
-        ConfigError: So many vectors are not tried at once.
+        ConfigError: `size` vectors at once need too much memory.
     """
     if isinstance(fit, Search):
         return _compile(_try_at_once(fit, objective, size), fit, objective)
@@ -105,12 +105,12 @@ def make_chunk(fit: Fit, objective: Objective, size: int) -> Chunk:
 
 
 def _is_traced(fit: Fit, objective: Objective) -> bool:
-    """Whether JAX compiles whole iterations; otherwise they are called from Python."""
+    """Return whether JAX compiles whole iterations; otherwise Python calls them."""
     return fit.traced and not objective.torch_law
 
 
 def _advance(xp: Any, progress: Progress, seen: Seen, vector: Any, method: Any, converged: Any) -> Progress:
-    """The progress after one more iteration."""
+    """Return the progress after one more iteration."""
     gradient = xp.asarray(seen.gradient, progress.vector.dtype)
     following = _keep_best(xp, progress, seen.loss)._replace(
         iteration=progress.iteration + 1,
@@ -120,13 +120,13 @@ def _advance(xp: Any, progress: Progress, seen: Seen, vector: Any, method: Any, 
         gradient=gradient,
         method=method,
     )
-    # Once broken, everything but the offending gradient stays as it was.
+    # Once broken, nothing changes but the gradient, which shows the cause.
     kept = jax.tree.map(lambda old, new: xp.where(following.broken, old, new), progress, following)
     return kept._replace(broken=following.broken, gradient=xp.where(progress.broken, progress.gradient, gradient))
 
 
 def _keep_best(xp: Any, progress: Progress, loss: Any) -> Progress:
-    """The same progress, with its vector as the best one if this is its loss and the lowest."""
+    """Return the progress with its vector as the best one if `loss` is the lowest so far."""
     better = loss < progress.best_loss
     return progress._replace(
         best=xp.where(better, progress.vector, progress.best),
@@ -136,7 +136,7 @@ def _keep_best(xp: Any, progress: Progress, loss: Any) -> Progress:
 
 
 def _try_in_turn(fit: Fit, objective: Objective, size: int) -> Callable[..., tuple[Progress, Trace]]:
-    """One vector after the other, in a loop of JAX."""
+    """Evaluate vectors one after the other, in a JAX loop."""
 
     def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
         empty = jnp.zeros(size, progress.vector.dtype)
@@ -160,7 +160,7 @@ def _try_in_turn(fit: Fit, objective: Objective, size: int) -> Callable[..., tup
 
 
 def _try_at_once(fit: Search, objective: Objective, size: int) -> Callable[..., tuple[Progress, Trace]]:
-    """Many vectors side by side."""
+    """Evaluate many vectors at once."""
     at_once = size * objective.data.qpos[0].size
     if at_once > MOST_STATES:
         raise ConfigError(
@@ -184,7 +184,7 @@ def _try_at_once(fit: Search, objective: Objective, size: int) -> Callable[..., 
 
 
 def _compile(run: Callable[..., tuple[Progress, Trace]], fit: Fit, objective: Objective) -> Chunk:
-    # The count is an argument and not a constant: a chunk cut short runs the same machine code.
+    # The count is an argument, not a constant, so that a shorter chunk runs the same machine code.
     example = objective.spread((begin(fit, objective), jnp.asarray(0)))
     compiled = objective.compile(run).lower(*example, objective.data).compile()
 
@@ -195,9 +195,9 @@ def _compile(run: Callable[..., tuple[Progress, Trace]], fit: Fit, objective: Ob
 
 
 def _try_from_python(fit: Fit, objective: Objective, size: int) -> Chunk:
-    """One vector after the other, in a loop of Python, until the method is done or lost."""
+    """Evaluate vectors one after the other, in a Python loop, until the method has converged or cannot continue."""
     fit.prepare(objective)
-    identified = jax.vmap(objective.space.identified)  # not compiled: its few operations serve every other fit too
+    identified = jax.vmap(objective.space.identified)  # not compiled: every fit reuses its few operations
     rows = np.zeros((size, *objective.space.start.shape), objective.space.start.dtype)
 
     def chunk(progress: Progress, count: int) -> tuple[Progress, Trace]:
@@ -210,7 +210,7 @@ def _try_from_python(fit: Fit, objective: Objective, size: int) -> Chunk:
             progress = _advance(np, progress, seen, vector, method, fit.done(method))
             if progress.broken or progress.converged:
                 break
-        # The lowest loss stays as exact as the method has it: of two that are close, the lower one is the best.
+        # The best loss keeps the method's precision, so that the lower of two close losses wins.
         arrays = {name: jnp.asarray(value) for name, value in progress._asdict().items() if name in _ARRAYS}
         return progress._replace(**arrays), Trace(losses, norms, dict(identified(jnp.asarray(vectors))))
 

@@ -1,4 +1,4 @@
-"""Laws that a law contains: their coordinates within those of the law that is fitted."""
+"""Nested models: their coordinates within those of the fitted model."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ from frictionzoo.models.base import Within
 from frictionzoo.models.registry import get_model
 
 Evaluate = Callable[[Float[np.ndarray, "coordinates"]], NormalEquations]
-"""An objective near a vector."""
+"""Function that returns the normal equations at a vector."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A law that the fitted one is or contains, by its coordinates: the fitted law's are `at + spread @ own`.
+    """The fitted model or a model nested in it; with coordinates `own`, the fitted model has `at + spread @ own`.
 
     Attributes:
-        law: Its class.
-        space: The fitted law's coordinates.
-        at: What the fitted law's coordinates are where its own are 0.
-        spread: 1 where a coordinate of the fitted law is this one of its own.
-        places: Where its parameters that are identified have their own coordinates.
-        known: Values of its other parameters, one a joint.
+        law: Class of the model.
+        space: Coordinates of the fitted model.
+        at: The fitted model's coordinates where all of `own` are 0.
+        spread: 1 where a coordinate of the fitted model equals one of `own`, else 0.
+        places: Index in `own` of the coordinates of each identified friction parameter.
+        known: Values of the other friction parameters, one per joint.
     """
 
     law: type[FrictionModel]
@@ -40,7 +40,7 @@ class Part:
 
     @classmethod
     def of(cls, model: FrictionModel | None, space: Space) -> "Part":
-        """The fitted law itself; of none, coordinates without a meaning."""
+        """Return the part of the fitted model itself; without a model, coordinates without parameters."""
         size = len(space.start)
         if model is None:
             return cls(FrictionModel, space, np.zeros(size), np.eye(size), {}, {})
@@ -58,7 +58,7 @@ class Part:
 
     @property
     def box(self) -> Box:
-        """Where its own coordinates start, and their bounds; the narrower ones of several that stand for one."""
+        """Start and bounds of the model's coordinates; the narrowest bounds where it merges several into one."""
         start, low, high = (np.asarray(x, np.float64) for x in (self.space.start, self.space.low, self.space.high))
         own = self.spread > 0
         return Box(
@@ -68,24 +68,24 @@ class Part:
         )
 
     def own(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "own"]:
-        """Its own coordinates, the mean of several that stand for one."""
+        """Return the model's coordinates; the mean where it merges several into one."""
         return self.spread.T @ vector / self.spread.sum(axis=0)
 
     def whole(self, own: Float[np.ndarray, "own"]) -> Float[np.ndarray, "coordinates"]:
-        """The fitted law's coordinates."""
+        """Return the fitted model's coordinates."""
         return self.at + self.spread @ own
 
     def moved(
         self, name: str, factor: float, vector: Float[np.ndarray, "coordinates"]
     ) -> Float[np.ndarray, "coordinates"]:
-        """The fitted law's coordinates with a parameter at this multiple of its initial value."""
+        """Return the fitted model's coordinates with a parameter at this multiple of its initial value."""
         moved = self.own(vector)
         for at, own in ((at, float(self.box.start[at])) for at in self.places[name].tolist()):
             moved[at] = self._bounded(at, factor * float(self._param(at).from_coordinate(own, np)))
         return self.whole(moved)
 
     def restrict(self, evaluate: Evaluate) -> Evaluate:
-        """The objective by its own coordinates alone."""
+        """Return the objective as a function of the model's coordinates."""
 
         def of_own(own: Float[np.ndarray, "own"]) -> NormalEquations:
             loss, gradient, hessian, states = evaluate(self.whole(own))
@@ -94,20 +94,20 @@ class Part:
         return of_own
 
     def contained(self) -> Iterator["Part"]:
-        """The laws that it contains, but for those that known values keep it from being."""
+        """Yield the nested models that known values do not exclude."""
         for name, within in self.law.contains.items():
             if (part := self._narrow(get_model(name), within)) is not None:
                 yield part
 
     def _narrow(self, law: type[FrictionModel], within: Within) -> "Part | None":
-        """One of them."""
+        """Return the part of a nested model; None where known values exclude it."""
         base, groups = self.box.start, {}
         taken = np.zeros(len(base), bool)
         for name, own in self.places.items():
             rule = within.get(name, name)
             if isinstance(rule, str) and rule in law.dimensions:
                 groups.setdefault(rule, []).append(own)
-            elif not callable(rule):  # held: at a number, or where it is if it has no effect
+            elif not callable(rule):  # fixed at a number, or at its start if it has no effect
                 base[own] = base[own] if isinstance(rule, str) else [self._bounded(at, rule) for at in own.tolist()]
             taken[own] = not callable(rule)
         if not (self._knows(within) and all(map(self._are_alike, groups.values()))):
@@ -124,7 +124,7 @@ class Part:
         return Part(law, self.space, self.whole(base), self.spread @ narrow, places, known)
 
     def _knows(self, within: Within) -> bool:
-        """Whether known values are those of the contained law."""
+        """Return whether the known values equal those of the nested model."""
         rules = [(value, within.get(name, name), name) for name, value in self.known.items()]
         return all(
             callable(rule) or (rule == name if isinstance(rule, str) else bool((value == rule).all()))
@@ -132,17 +132,17 @@ class Part:
         )
 
     def _are_alike(self, alike: list[np.ndarray]) -> bool:
-        """Whether coordinates that are to be one are as many, and measured alike."""
+        """Return whether coordinates to merge are equal in number and have the same scale."""
         scales = {self._param(at).scale for own in alike for at in own.tolist()}
         return len({len(own) for own in alike}) == len(scales) == 1
 
     def _param(self, own: int) -> Param:
-        """What is identified there."""
+        """Return the parameter of a coordinate."""
         row = int(np.argmax(self.spread[:, own]))
         return self.space.params[self.space.labels[row].partition("/")[0]]
 
     def _bounded(self, own: int, value: float) -> float:
-        """The coordinate of a value, or of the bound that is next to it."""
+        """Return the coordinate of a value, clipped to the bounds."""
         param, ends = self._param(own), [side[own] for side in self.box[1:]]
         low, high = (float(param.from_coordinate(end, np)) for end in ends)
         return ends[0] if value <= low else ends[1] if value >= high else float(param.to_coordinate(value, np))

@@ -1,4 +1,4 @@
-"""The joint distribution of what was identified, and draws from it."""
+"""Joint distribution of the identified coordinates, and draws from it."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,12 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class Covariance:
-    """A multivariate Student's t distribution of coordinates.
+    """Multivariate Student's t distribution of coordinates.
 
     Attributes:
-        labels: Name of each coordinate, as `Space.labels` has it.
-        centre: Middle of each one's interval.
-        matrix: Shape of the distribution: half an interval is Student's quantile times the root of its diagonal.
+        labels: Name of each coordinate, one of `Space.labels`.
+        centre: Middle of each coordinate's interval.
+        matrix: Scale matrix: half an interval is Student's quantile times the root of its diagonal.
         freedom: Degrees of freedom.
     """
 
@@ -23,11 +23,11 @@ class Covariance:
     freedom: float
 
     def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count own"]:
-        """So many vectors: normal ones over the root of a chi-squared number that all coordinates of one share.
+        """Draw vectors: normal ones over the root of a chi-squared number that a vector's coordinates share.
 
         Source: S. Kotz, S. Nadarajah, "Multivariate t distributions and their applications", 2004, section 1.1.
         """
-        # Of fewer stretches than coordinates the matrix has no Cholesky factor.
+        # With fewer stretches than coordinates the matrix is singular and has no Cholesky factor.
         eigenvalues, axes = np.linalg.eigh(self.matrix)
         normal = rng.standard_normal((count, len(self.labels))) @ (axes * np.sqrt(np.maximum(eigenvalues, 0))).T
         return self.centre + normal / np.sqrt(rng.chisquare(self.freedom, (count, 1)) / self.freedom)

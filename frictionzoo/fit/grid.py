@@ -1,4 +1,4 @@
-"""Exhaustive search, the paper's non-gradient competitor."""
+"""Exhaustive grid search, the paper's method without gradients."""
 
 from typing import Any
 
@@ -9,20 +9,20 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.base import Search, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.objective import Objective
 
-MOST_COMBINATIONS = 100_000_000  # and JAX counts them in 32 bits
+MOST_COMBINATIONS = 100_000_000  # JAX counts them in 32 bits
 
 
 @register_method("grid")
 class Grid(Search):
-    """Every combination of evenly spaced values; an iteration is one combination, a chunk simulates many at once.
+    """Grid search over all combinations of values; an iteration is one combination, a chunk simulates many at once.
 
-    The values are evenly spaced in each parameter's coordinate: in the value itself where its scale is a number, in its
-    logarithm where its scale is `log`.
+    Values are evenly spaced in each parameter's coordinate: in the value if its scale is a number, in its logarithm if
+    its scale is `log`.
 
     Source: Kovalev et al., Proc. MIPT 18(2), 2026, MuJoCo-GridSearch.
 
     Args:
-        points: Values of each parameter; the bounds are the first and the last.
+        points: Number of values of each parameter; the bounds are the first and the last.
 
     Raises:
         ConfigError: Fewer than two points.
@@ -34,7 +34,7 @@ class Grid(Search):
         self._points = points
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; not for a network, which has no bounds, nor a law that exists only in torch."""
+        """See `Fit.total`; refuses networks, which have no bounds, and models only in torch."""
         refuse_nothing(objective)
         refuse_torch(objective, self.name)
         if objective.space.weights:

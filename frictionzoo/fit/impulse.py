@@ -1,4 +1,4 @@
-"""Errors of velocity as impulses: what joints lacked in each sample interval for a rollout to move as was measured."""
+"""Velocity errors as impulses: what joints lacked in each sample interval for the rollout to match the recording."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,28 +14,28 @@ def impulses(
     inertia: Float[Array, "segments nv nv"],
     armature: Float[Array, "nv"],
 ) -> Float[Array, "segments intervals nv"]:
-    """What each sample interval adds to the momentum of a rollout's error [N m s or N s].
+    """Return the momentum that each sample interval adds to a rollout's error [N m s or N s].
 
-    A torque that the drive lacks shows in its own joint alone, where it acts, and once. An error of velocity shows it
-    in all joints that it moves, divided by their inertia, and in all samples that follow.
+    A missing torque appears once, in the joint and interval where it acts. As a velocity error it would appear in all
+    joints that it moves, divided by their inertia, and in all later samples.
 
-    The inertia takes the armature that is tried, so that this is linear in it and has the measured acceleration for its
-    derivative, as inverse dynamics has. Errors of velocity are the torque over the inertia: an armature that is found
-    from these is too large by as much as the torque is noisy.
+    The armature is the one under trial. Impulses are therefore linear in it, with the measured acceleration as
+    derivative, as in inverse dynamics. Velocity errors are torque over inertia, and torque noise would bias the
+    armature upwards.
 
-    Source: W. Fuller, "Measurement Error Models", 1987, for what noise of a regressor does.
+    Source: W. Fuller, "Measurement Error Models", 1987, for the effect of noise in a regressor.
 
     Args:
-        errors: Of velocity, after each interval [rad/s or m/s].
-        inertia: Joint-space inertia without armature where segments begin [kg m^2 or kg].
-        armature: [kg m^2 or kg].
+        errors: Velocity errors after each interval [rad/s or m/s].
+        inertia: Joint-space inertia without armature at the start of each segment [kg m^2 or kg].
+        armature: Armature [kg m^2 or kg].
     """
     added = jnp.diff(errors, axis=1, prepend=jnp.zeros_like(errors[:, :1]))
     return jnp.einsum("sij,stj->sti", inertia, added, precision="highest") + armature * added
 
 
 def rigid_inertia_of(bench: Bench, segments: Segments) -> Float[np.ndarray, "segments nv nv"]:
-    """Joint-space inertia without armature where segments begin, with their payloads [kg m^2 or kg]."""
+    """Return the joint-space inertia without armature at the start of segments, with payloads [kg m^2 or kg]."""
     model, found = bench.compile(constraint=False), np.zeros((segments.count, bench.nv, bench.nv))
     if "position_offset" in (known := bench.initial_values()):
         model.qpos0[:] = -known["position_offset"]
@@ -48,6 +48,6 @@ def rigid_inertia_of(bench: Bench, segments: Segments) -> Float[np.ndarray, "seg
 
 
 def is_moving(segments: Segments, slow: float) -> Bool[np.ndarray, "segments intervals nv"]:
-    """Intervals in which a joint is faster than this share of its root mean square speed."""
+    """Return in which intervals a joint is faster than this share of its root mean square speed."""
     speed = np.abs(segments.qvel[:, 1:] + segments.qvel[:, :-1]) / 2
     return speed > slow * np.sqrt(np.mean(np.square(segments.qvel), axis=(0, 1)))

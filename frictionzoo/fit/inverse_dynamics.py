@@ -1,4 +1,4 @@
-"""Parameters from measured torque, without a simulation: the inverse dynamics identification model."""
+"""Identification from measured torque without simulation: the inverse dynamics identification model (IDIM)."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -21,40 +21,41 @@ from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 _log = logging.getLogger(__name__)
-_PASSES, _LEVEL = 10, 1e-5  # of links and gravity in turns, and the change of its share below which it is found
+_PASSES, _LEVEL = 10, 1e-5  # rounds of links and gravity, and change of the leaning below which they have converged
 PRIOR: Mapping[str, float] = {"mass": 0.1, "centre": 0.02, "size": 0.3}
 
 
 @register_method("inverse_dynamics")
 class InverseDynamics(Fit):
-    """Weighted least squares on torque: what the drives give has to be what links, armature and friction need.
+    """Weighted least squares on torque: the drives' torque must equal what links, armature and friction need.
 
-    The standard of industrial robots' identification, for recordings of torque (or of whatever the actuator law makes a
-    torque of) along motions that excite all joints. Velocities and accelerations come from the positions alone; both
-    sides of the equation pass the same low-pass and are decimated; joints are weighted by what is left of their torque.
-    The loss that it reports is the geometric mean over joints of that variance [N^2 m^2 or N^2].
+    This is the standard method for industrial robots. It needs recordings of torque (or of commands that the actuator
+    model turns into torque) along motions that excite all joints. Velocities and accelerations come from the positions
+    alone. Both sides of the equation pass the same low-pass filter and are decimated. Joints are weighted by the
+    inverse deviation of their residual torque. The reported loss is the geometric mean of the residual variances of the
+    joints [N^2 m^2 or N^2].
 
-    No rollout is simulated. So it needs no short segments where torque drives an arm, whose rollouts diverge, and gives
-    any other fit a start. What it lacks: near standstill, where the direction of friction is not known, samples do not
-    count; a law with a memory counts by what it comes down to at constant velocity.
+    It simulates no rollout. It therefore works on torque-driven arms, whose long rollouts diverge, and gives other fits
+    a starting point. Limits: samples near standstill do not count, because the direction of friction is unknown there,
+    and a model with memory contributes its friction at constant velocity.
 
     Source: M. Gautier, "Dynamic identification of robots with power model", 1997; J. Hollerbach, W. Khalil, M. Gautier,
     "Model identification", in: Springer Handbook of Robotics, 2016.
 
     Args:
         bandwidth: Frequency up to which torques are compared [Hz].
-        cutoff: Of the low-pass of the positions [Hz]; None for five times the bandwidth, or less where the sample rate
-            does not allow it.
-        order: Of that filter, which runs forwards and backwards.
+        cutoff: Cut-off of the low-pass filter of the positions [Hz]; None for five times the bandwidth, or less if the
+            sample rate requires it.
+        order: Order of that filter, which runs forwards and backwards.
         slow: Share of a joint's root mean square speed below which a sample does not count.
-        held: Whether a recorded command acts until the next sample, as in a simulation; if not, at its instant alone,
-            as a measured torque or current does.
-        links: Bodies whose inertia is identified along, by name or by regular expressions that match whole names. It is
-            found first, together with all else, and takes the place of the model file's in all that follows.
-        tilt: Whether the direction of gravity in the frame of the base is found along, then too: a base that stands
-            askew by a degree gives a vertical joint a torque that its model file does not know of.
-        prior: Standard deviations of that inertia from the model file's, which pull it there: of the mass and of the
-            spread about the centre as shares, `mass` and `size`, and of the `centre` [m].
+        held: Whether a recorded command acts until the next sample, as in a simulation; if not, only at its instant,
+            like a measured torque or current.
+        links: Bodies whose inertia is identified, by name or by regular expressions that match whole names. The fit
+            identifies them first, together with all other parameters, and then replaces the model file's inertia.
+        tilt: Whether to identify the direction of gravity in the frame of the base in that step too. A base tilted by
+            one degree puts a torque on a vertical joint that the model file does not predict.
+        prior: Standard deviations of the prior, centred on the model file's inertia: `mass` and `size` (spread about
+            the centre) as shares, `centre` in m.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -76,11 +77,11 @@ class InverseDynamics(Fit):
         self.filtering = Filtering(bandwidth, cutoff, order, slow)
         self.held = held
         self._links = [links] if isinstance(links, str) else list(links)
-        spread_of(prior)  # refuses what makes no sense
+        spread_of(prior)  # raises ConfigError for an invalid prior
         self._prior, self._tilt = dict(prior), tilt
 
     def revise(self, recordings: Recordings) -> LinkInertia | None:
-        """See `Fit.revise`: link inertias and gravity, where these are to be identified."""
+        """See `Fit.revise`; identifies link inertia and gravity if asked to."""
         bench, model, _ = recordings
         if not self._links and not self._tilt:
             return None
@@ -92,7 +93,7 @@ class InverseDynamics(Fit):
         return identify_links(equation, bench.compile(constraint=False), self._links, self._prior)
 
     def _revise_leaning(self, recordings: Recordings, space: Space) -> LinkInertia:
-        """With gravity: what links weigh depends on both, so that each is found with what the other was before."""
+        """Identify links and gravity in turn, because the links' weight depends on both."""
         bench = weighed = recordings.bench
         tilt = Tilt.upright(bench.compile(constraint=False).opt.gravity.copy())
         for _ in range(_PASSES):
@@ -111,7 +112,7 @@ class InverseDynamics(Fit):
         return found
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; not for a network, nor for a law only in torch, nor without recordings."""
+        """See `Fit.total`; refuses networks, models only in torch, and segments without recordings."""
         refuse_nothing(objective)
         refuse_torch(objective, self.name)
         if objective.recordings is None:
@@ -122,7 +123,7 @@ class InverseDynamics(Fit):
         return 2
 
     def equation(self, objective: Objective) -> TorqueEquation:
-        """The torque as a function of the objective's coordinates."""
+        """Return the residual torque as a function of the objective's coordinates."""
         recordings = objective.recordings
         assert recordings is not None
         return objective.remember(
@@ -135,7 +136,7 @@ class InverseDynamics(Fit):
         return objective.space.start, np.asarray(0)
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
-        """See `Fit.step`: the first iteration finds the least, the second looks at it."""
+        """See `Fit.step`; the first iteration finds the minimum, the second evaluates it."""
         equation = self.equation(objective)
         found, _ = equation.scores(np.asarray(vector, np.float64))
         seen = Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss))
@@ -159,12 +160,12 @@ class InverseDynamics(Fit):
         self.equation(objective)
 
     def compile_scores(self, objective: Objective) -> Scores:
-        """See `Fit.compile_scores`: of the torque."""
+        """See `Fit.compile_scores`; uses the residual torque."""
         return self.equation(objective).scores
 
 
 def _refuse_many(space: Space) -> None:
-    """ConfigError for more coordinates than a Jacobian of the torque has room for."""
+    """Raise ConfigError if there are more coordinates than a Jacobian can hold."""
     coordinates = len(space.start)
     if coordinates > MOST_COORDINATES:
         raise ConfigError(

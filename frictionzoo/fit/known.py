@@ -1,4 +1,4 @@
-"""No fit at all: given values are judged as they are."""
+"""Evaluation of known values without a fit."""
 
 from typing import Any
 
@@ -12,10 +12,10 @@ from frictionzoo.fit.objective import Objective
 
 @register_method("known")
 class Known(Fit):
-    """The initial values, published ones say, on the same segments and rollouts as identified ones."""
+    """Method that keeps the initial values, such as published ones, and evaluates them like identified ones."""
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError where something is to be identified."""
+        """See `Fit.total`; raises ConfigError if there is a parameter to identify."""
         if objective.space.names:
             raise ConfigError(
                 f"fit=known: {objective.space.names[0]} is to be identified, expected known values only; set "

@@ -1,4 +1,4 @@
-"""Link inertia that was identified along: what was found, how far the data determine it, and what is only the prior."""
+"""Inertia of links, identified together with the drives' parameters, and which part of it the data determine."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,26 +17,26 @@ from frictionzoo.fit.torque_balance import Balance, Links, balance, invert
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 DETERMINED = 1 / 3
-"""Share of the prior's deviation below which the standard error of a combination says that the data determine it."""
+"""The data determine a combination if its standard error is below this share of the prior's standard deviation."""
 
 
 @dataclass(frozen=True)
 class LinkInertia:
-    """Inertias of links, with what the data say of them.
+    """Identified inertia of links, and how well the data determine it.
 
-    What recordings of torque determine are base parameters: combinations of the links' parameters, of armatures and of
-    whatever else acts on torque. What of a link lies in none of those that the data determine is only the prior.
+    Torque recordings determine base parameters: combinations of link parameters, armatures and everything else that
+    acts on torque. A link parameter outside all determined combinations has its value from the prior only.
 
     Attributes:
         bodies: Names of the links.
-        maker: Their ten parameters as the model file has them, of shape (bodies, 10).
-        found: As identified, of the same shape; each is that of a body of matter.
+        maker: Ten inertial parameters of each link in the model file, of shape (bodies, 10).
+        found: Identified parameters, of the same shape, physically consistent.
         base: The base parameters.
-        values: Their values, of shape (base,).
-        errors: Standard error of each, by the data alone.
-        spreads: Standard deviation of the prior of each; infinite where it holds what has no prior.
-        rms: Root mean square of the torque that is left of each joint [N m or N].
-        tilt: How far gravity leaned from where the model file has it, where that was found along; see `Tilt`.
+        values: Values of the base parameters, of shape (base,).
+        errors: Standard error of each, from the data alone.
+        spreads: Standard deviation of the prior of each; infinite where it contains a parameter without prior.
+        rms: Root mean square of each joint's residual torque [N m or N].
+        tilt: Identified tilt of gravity; None where it was not identified.
     """
 
     bodies: tuple[str, ...]
@@ -51,23 +51,23 @@ class LinkInertia:
 
     @property
     def determined(self) -> Bool[np.ndarray, "base"]:
-        """Whether the data, and not the prior, give a base parameter its value."""
+        """Whether the data, not the prior, determine each base parameter."""
         return self.errors < DETERMINED * np.where(np.isinf(self.spreads), np.abs(self.values), self.spreads)
 
     @property
     def inertia(self) -> dict[str, list[float]]:
-        """Ten parameters of each link, as `bench.inertia` has them."""
+        """Ten inertial parameters of each link, in the form of `bench.inertia`."""
         return {name: own.tolist() for name, own in zip(self.bodies, self.found, strict=True)}
 
     @property
     def prior_only(self) -> tuple[str, ...]:
-        """Parameters of links of which the data say nothing, or only in combinations that they do not determine."""
+        """Link parameters that belong to no base parameter determined by the data."""
         told = (self.base.matrix[self.determined] != 0).any(axis=0)
         own = [f"{symbol} {body}" for body in self.bodies for symbol in SYMBOLS]
         return tuple(name for name, tells in zip(self.base.names, told, strict=True) if name in own and not tells)
 
     def lines(self) -> Iterator[str]:
-        """What was found, a line for each link, and what of it is only the prior."""
+        """Yield a line for each link, and lines on tilt and on parameters determined only by the prior."""
         for name, old, new in zip(self.bodies, self.maker, self.found, strict=True):
             (was, before, _), (mass, centre, _) = from_parameters(old), from_parameters(new)
             moved = 1e3 * float(np.linalg.norm(centre - before))
@@ -80,17 +80,17 @@ class LinkInertia:
             yield f"only the prior: {', '.join(self.prior_only)}"
 
     def base_lines(self) -> Iterator[str]:
-        """The base parameters, a line each, with standard errors by the data alone."""
+        """Yield a line for each base parameter, with its standard error from the data alone."""
         rows = zip(self.base.describe(), self.values, self.errors, self.determined, strict=True)
         for text, value, error, told in rows:
             yield f"{text}: {value:.4g} +- {error:.2g}{'' if told else ', not determined by the data'}"
 
 
 def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
-    """Indices of the bodies whose whole name one of these regular expressions matches, and that a joint moves.
+    """Return the indices of the bodies that a joint moves and whose whole name matches one of the patterns.
 
     Raises:
-        ConfigError: A pattern is none, or fits no such body.
+        ConfigError: A pattern is no regular expression, or matches no such body.
     """
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] and model.body_mass[body] > 0]
     names = {body: model.body(body).name for body in moving if model.body(body).name}
@@ -108,10 +108,10 @@ def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
 
 
 def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
-    """Deviation of the prior of each log-Cholesky coordinate of a body.
+    """Return the standard deviation of the prior of each log-Cholesky coordinate of a body.
 
     Args:
-        prior: Of `mass` and of `size`, shares; of `centre` [m].
+        prior: Standard deviations: `mass` and `size` as shares, `centre` in m.
 
     Raises:
         ConfigError: One is missing, unknown or not above 0.
@@ -127,17 +127,17 @@ def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
 def identify_links(
     equation: TorqueEquation | Tilted, model: mujoco.MjModel, patterns: Sequence[str], prior: Mapping[str, float]
 ) -> LinkInertia:
-    """Inertias of the links together with the coordinates of an equation, which are found along and not kept.
+    """Identify link inertia together with the coordinates of an equation, whose values are not kept.
 
     Args:
-        equation: What torque is left, with the model file's links.
-        model: The bench's.
-        patterns: Of the names of the links.
-        prior: As `spread_of` takes it.
+        equation: Residual torque with the model file's links.
+        model: MuJoCo model of the bench.
+        patterns: Regular expressions for the names of the links.
+        prior: Standard deviations of the prior; see `spread_of`.
 
     Raises:
-        ConfigError: A pattern fits no body that moves, or the prior makes no sense.
-        BenchError: A body has no inertia that a body of matter has.
+        ConfigError: A pattern matches no body that moves, or the prior is invalid.
+        BenchError: The inertia of a body in the model file is not physically consistent.
     """
     bodies = choose_bodies(model, patterns)
     names = tuple(model.body(body).name for body in bodies)
@@ -157,7 +157,7 @@ def identify_links(
 def _base(
     equation: TorqueEquation | Tilted, found: Balance, links: Links | None, names: Sequence[str]
 ) -> tuple[BaseParameters, Float[np.ndarray, "all"]]:
-    """Base parameters of what was recorded, and the derivative of physical values by coordinates."""
+    """Return the base parameters of the recordings, and the derivative of physical values by coordinates."""
     columns = equation.slope(found.vector)
     if links is not None:
         columns = np.concatenate([columns, -links.regressor.reshape(*columns.shape[:2], -1)], axis=-1)
@@ -170,7 +170,7 @@ def _base(
 
 
 def _spreads(base: BaseParameters, links: Links | None, size: int) -> Float[np.ndarray, "base"]:
-    """Deviation of the prior of each base parameter."""
+    """Return the standard deviation of the prior of each base parameter."""
     if links is None:
         return np.full(len(base.matrix), np.inf)
     around: Any = links.around.slopes(np.zeros_like(links.spread)) * links.spread[:, None, :]

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on exact Jacobians, by scipy's trust-region solver for bounded least squares."""
+"""Levenberg-Marquardt with exact Jacobians, by scipy's trust-region solver for bounded least squares."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,25 +14,25 @@ from frictionzoo.fit.normal_equations import NormalEquations, bounded_step, comp
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.torque_balance import Box
 
-MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
-MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
-_ALIKE = 1e-2  # share of a loss by which another is as good
-_LEAST = 1e-6  # damping, as a share of each curvature: combinations that the data do not determine stay as they are
-_SOFT, _STIFFEST = 0.1, 1e6  # damping after a step that was of no use, and with which none is but by rounding
-_SLACK = 30.0  # of the floating-point type's precision, below which a change of the loss is rounding
+MOST_TRIES = 10_000  # the Hessian of every try is kept; ten tries are usual
+MOST_COORDINATES = 200  # the Jacobian has a column per coordinate; more coordinates are a network's weights
+_ALIKE = 1e-2  # relative difference up to which two losses count as equal
+_LEAST = 1e-6  # damping, as a share of each curvature: combinations that the data do not determine do not move
+_SOFT, _STIFFEST = 0.1, 1e6  # damping after a failed step, and above which only rounding could lower the loss
+_SLACK = 30.0  # multiples of the floating-point precision below which a change of the loss is rounding
 
 
 class State(NamedTuple):
-    """What was found so far, from which the solver tells the next vector whenever it is asked.
+    """Record of all vectors tried, from which the solver's next vector follows.
 
     Attributes:
-        tried: How many vectors.
-        asked: The vector that is tried next, or the last one where the solver has ended, of shape (coordinates,).
-        ended: Whether the solver has ended of itself.
-        loss: The objective at each vector that was tried, of shape (iterations,).
+        tried: Number of vectors tried.
+        asked: The vector to try next, or the last one if the solver has ended, of shape (coordinates,).
+        ended: Whether the solver has converged.
+        loss: The objective at each vector tried, of shape (iterations,).
         gradient: Half its gradient, (iterations, coordinates).
         hessian: Half its approximate second derivative, (iterations, coordinates, coordinates).
-        states: Where the search for initial states at the next one begins; None where none are refined.
+        states: Start of the search for initial states at the next vector; None where they are not estimated.
     """
 
     tried: np.ndarray
@@ -46,19 +46,19 @@ class State(NamedTuple):
 
 @register_method("lm")
 class LevenbergMarquardt(Fit):
-    """scipy's `least_squares`, method `trf`: a trust region within bounds, each coordinate scaled by its column.
+    """scipy's `least_squares`, method `trf`: a trust region within bounds, coordinates scaled by Jacobian columns.
 
-    The solver is given not the residuals, of which a long log has millions, but n + 1 numbers of the same sum of
-    squares, gradient and approximate second derivative for n coordinates. An iteration is one vector that it asks for.
+    A long log has millions of residuals. For n coordinates the solver gets n + 1 numbers with the same sum of squares,
+    gradient and approximate second derivative instead. One iteration evaluates one vector.
 
     Source: K. Levenberg 1944; D. Marquardt 1963; M. Branch, T. Coleman, Y. Li, "A Subspace, Interior, and Conjugate
     Gradient Method for Large-Scale Bound-Constrained Minimization Problems", 1999, for the bounds.
 
     Args:
-        iterations: Largest number of vectors that are tried.
-        tolerance: Relative change of the loss or of the vector from which on the fit has converged; in float32 at least
-            its precision.
-        start: The method at whose end this one begins, such as `InverseDynamics`; None: at the initial values.
+        iterations: Largest number of vectors to try.
+        tolerance: Relative change of the loss or of the vector below which the fit has converged; never below a small
+            multiple of the floating-point precision.
+        start: The method whose result is the starting point, such as `InverseDynamics`; None for the initial values.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -75,7 +75,7 @@ class LevenbergMarquardt(Fit):
         self._tolerance = tolerance
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; not for a network, whose Jacobian has too many columns, nor a law only in torch."""
+        """See `Fit.total`; refuses networks, whose Jacobian has too many columns, and models only in torch."""
         refuse_nothing(objective)
         refuse_torch(objective, self.name)
         coordinates = len(objective.space.start)
@@ -95,14 +95,14 @@ class LevenbergMarquardt(Fit):
         return start, state._replace(asked=asked)
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
-        """See `Fit.step`; what is tried is the vector that the solver asked for, in its own precision."""
+        """See `Fit.step`; tries `state.asked`, the solver's vector in float64."""
         found = objective.beginning(state.states).compile_normal_equations()(state.asked)
         at = int(state.tried)
-        # A start without finite equations is none; from a later vector, the solver tries a shorter step.
+        # The start must have finite equations; after a later vector without them the solver shortens its step.
         lost = at == 0 and not found.finite
         equations = [part.copy() for part in (state.loss, state.gradient, state.hessian)]
         before = state.loss[:at]
-        least = np.min(before, initial=np.inf, where=np.isfinite(before))  # of those at which nothing diverged
+        least = np.min(before, initial=np.inf, where=np.isfinite(before))  # of the vectors without divergence
         states = found.states if is_near(found.loss, least) else state.states
         for part, value in zip(equations, found[:3], strict=True):
             part[at] = value
@@ -120,24 +120,24 @@ class LevenbergMarquardt(Fit):
 
 
 def is_near(loss: float, least: float) -> bool:
-    """Whether initial states of a vector with this loss are a good start for those of the next vector."""
+    """Return whether the initial states at a vector with this loss are a good start for the next vector's."""
     return bool(loss < (1 + _ALIKE) * least)
 
 
 class _AskedError(Exception):
-    """The solver asks for a vector that was not tried yet."""
+    """Request of the solver for a vector that has not been tried."""
 
 
 def _ask(objective: Objective, state: State, tolerance: float) -> State:
-    """The state with the vector that scipy's solver tries next, or with its end.
+    """Return the state with the next vector of scipy's solver, or with the mark that it has ended.
 
-    The solver cannot be stopped and asked; it is run again from the start over what was found, and asks for the same
-    vectors in the same order. That takes a fraction of a millisecond for each, simulating one takes many.
+    The solver cannot be paused. It runs again from the start on the recorded results and asks for the same vectors in
+    the same order. That takes a fraction of a millisecond per vector; a simulation takes many milliseconds.
     """
     space, asked = objective.space, [state.asked]
     tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
     low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
-    unit = float(state.loss[0]) or 1.0  # tolerances mean shares of it
+    unit = float(state.loss[0]) or 1.0  # makes the tolerances relative to the initial loss
     known: list[NormalEquations] = []
 
     def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
@@ -148,7 +148,7 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
         equations = NormalEquations(*(part[at] for part in (state.loss, state.gradient, state.hessian)))
         known.append(equations)
         if not equations.finite:
-            return np.full(len(vector) + 1, np.inf)  # the solver takes it back and tries a shorter step
+            return np.full(len(vector) + 1, np.inf)  # the solver rejects the step and tries a shorter one
         finite.append(equations)
         return compress(equations, unit)[0]
 
@@ -159,7 +159,7 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
         )
     except _AskedError:
         return state._replace(asked=asked[-1])
-    return state._replace(ended=np.asarray(found.status > 0))  # 0: the number of vectors is used up
+    return state._replace(ended=np.asarray(found.status > 0))  # 0: all iterations used
 
 
 def descend(
@@ -169,20 +169,20 @@ def descend(
     tolerance: float,
     enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
 ) -> tuple[Float[np.ndarray, "coordinates"], float]:
-    """The least of a sum of squares that steps of Gauss, Newton, Levenberg and Marquardt come to, and where.
+    """Minimise a sum of squares by Levenberg-Marquardt steps within bounds.
 
-    Each goes to the least of the objective's quadratic within the bounds; scipy's go half the way to one at most, and
-    shorten those of all coordinates beside it.
+    Each step goes to the minimum of the objective's quadratic model within the bounds. scipy's steps go at most half
+    the way to a bound, and shorten the step of all other coordinates with it.
 
     Args:
-        evaluate: The objective near a vector.
-        box: Where to begin, and bounds.
-        tries: Largest number of vectors that are tried.
-        tolerance: Share of the objective by which a step has to promise to lower it.
-        enough: Of a vector that is to be tried, whether the search ends there instead.
+        evaluate: Function that returns the normal equations at a vector.
+        box: Starting point and bounds.
+        tries: Largest number of vectors to try.
+        tolerance: The search ends when the predicted decrease is below this share of the objective.
+        enough: Function of the next vector that ends the search before that vector is tried.
 
     Returns:
-        The best vector and its loss; infinite where the objective is not finite at the beginning.
+        The best vector and its loss; infinite where the objective is not finite at the start.
     """
     at, damping = np.clip(*box), _LEAST
     found = evaluate(at)
@@ -209,7 +209,7 @@ def _solve(
     tolerance: float,
     most: int,
 ) -> Any:
-    """What scipy's solver answers, of residuals and their Jacobian where they were last asked for."""
+    """Run scipy's solver; `slopes` returns the Jacobian at the vector of the last residuals."""
     return scipy.optimize.least_squares(
         residuals,
         np.clip(*box),

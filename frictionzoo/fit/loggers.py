@@ -1,4 +1,4 @@
-"""Where the course of a fit is recorded besides the run's own files: each logger has a folder in the run's folder."""
+"""Loggers that record a fit's history for viewers; each writes to its own folder in the run's folder."""
 
 import csv
 import importlib.util
@@ -29,28 +29,28 @@ _TAG = "frictionzoo"  # of MLflow runs that this program made
 
 
 class RunLogger(ABC):
-    """A record of one run.
+    """Record of one run.
 
-    It begins anew whenever the fit does, also when that goes on from a checkpoint: the loop then hands over again what
-    the checkpoint holds, and nothing of an interrupted run is there twice or missing.
+    The record starts empty with every start of the fit. After a resume the loop logs the checkpoint's history again, so
+    no row of an interrupted run is missing or doubled.
     """
 
     def start(
         self, folder: Path, hyperparameters: Mapping[str, Any], parameters: Mapping[str, str] | None = None
     ) -> Logger:
-        """Begin the record, in place of one that an interrupted run left.
+        """Begin the record, in place of an interrupted run's record.
 
         Args:
             folder: The run's folder.
-            hyperparameters: What tells this run from others; numbers, text, booleans, None and lists of these.
-            parameters: What will be logged of parameters: the full name of each, of whose joints each has its scalar
-                `NAME/JOINT`, and its unit and limits in words.
+            hyperparameters: Settings that distinguish this run; numbers, text, booleans, None and lists of these.
+            parameters: Full name of each identified parameter, with its unit and limits in words; its scalars are
+                called `NAME` or `NAME/JOINT`.
 
         Returns:
-            What Lightning logs to.
+            Lightning's logger.
 
         Raises:
-            OutputError: A foreign file is where the record goes.
+            OutputError: A file that this program did not write is in the record's place.
             OSError: The folder cannot be written.
         """
         self._files = manifest_of(folder, "run")
@@ -60,11 +60,11 @@ class RunLogger(ABC):
         return self._logger
 
     def finish(self, step: int, metrics: Mapping[str, float], figures: Sequence[Path], text: str) -> None:
-        """End the record with what came out.
+        """End the record with the results.
 
         Args:
-            step: Iterations done.
-            metrics: Final numbers.
+            step: Number of iterations done.
+            metrics: Final metrics by name.
             figures: PNG files in the run's folder `figures/`.
             text: A summary, in Markdown.
 
@@ -77,11 +77,11 @@ class RunLogger(ABC):
 
     @abstractmethod
     def _open(self, folder: Path) -> Logger:
-        """Lightning's logger, on an empty record."""
+        """Return Lightning's logger, on an empty record."""
 
     @abstractmethod
     def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
-        """Figures and text, as the arguments of `finish`."""
+        """Record figures and text, the arguments of `finish`."""
 
 
 class TensorBoard(RunLogger):
@@ -90,14 +90,14 @@ class TensorBoard(RunLogger):
     def start(
         self, folder: Path, hyperparameters: Mapping[str, Any], parameters: Mapping[str, str] | None = None
     ) -> Logger:
-        """As for every logger; hyperparameters are a row of the HParams tab from the first iteration on.
+        """Begin the record as every logger does; the HParams tab shows the run from the first iteration on.
 
-        The Custom Scalars tab has the loss and a chart a parameter, with its unit and its limits.
+        The Custom Scalars tab shows the loss and one chart per parameter, with its unit and limits.
         """
         logger = super().start(folder, hyperparameters, parameters)
         self._logger.experiment.add_custom_scalars(_lay_out(parameters or {}))
-        # Lightning's and torch's own way also fixes the tab's columns to those of one run. Without, TensorBoard
-        # gathers them from all runs, which in a sweep over models or fits differ.
+        # Lightning and torch would fix the tab's columns to those of one run. Without that, TensorBoard gathers them
+        # from all runs, which differ in a sweep over models or fits.
         plain = {k: v if type(v) in (int, float, str) else json.dumps(v) for k, v in hyperparameters.items()}
         _, begun, self._ended = hparams(plain, {})
         self._logger.experiment.file_writer.add_summary(begun)
@@ -105,12 +105,12 @@ class TensorBoard(RunLogger):
 
     def _open(self, folder: Path) -> Logger:
         _empty(self._files, "tensorboard")
-        # A TensorBoard that is running forgets from this step on what it has seen of an interrupted run.
+        # purge_step: a running TensorBoard drops the interrupted run's rows from this step on.
         how = {"default_hp_metric": False, "purge_step": 0, "filename_suffix": f".{self._files.token}"}
         return _Events(folder, name="tensorboard", version="", **how)
 
     def finish(self, step: int, metrics: Mapping[str, float], figures: Sequence[Path], text: str) -> None:
-        """As for every logger; the event file is finished then."""
+        """End the record as every logger does, and add the finished event file to the manifest."""
         super().finish(step, metrics, figures, text)
         self._files.adopt("tensorboard")
 
@@ -123,21 +123,21 @@ class TensorBoard(RunLogger):
 
 
 class _Events(TensorBoardLogger):
-    """Lightning's logger without its `hparams.yaml`: the only file is one whose name tells that it is this run's."""
+    """Lightning's logger without `hparams.yaml`: the name of its only file carries this run's token."""
 
     def save(self) -> None:
         self.experiment.flush()
 
 
 def _lay_out(parameters: Mapping[str, str]) -> dict[str, dict[str, list[Any]]]:
-    """Categories of charts, each with the patterns of its scalars' names, as torch's writer takes them."""
+    """Return categories of charts with patterns of scalar names, in the form of torch's writer."""
     charts = {f"{name} [{said}]": ["Multiline", [rf"^{re.escape(name)}(/.*)?$"]] for name, said in parameters.items()}
     fit = {"loss": ["Multiline", ["^loss$"]], "gradient norm": ["Multiline", ["^grad_norm$"]]}
     return {"fit": fit, "parameters": charts}
 
 
 class Csv(RunLogger):
-    """`csv/`: scalars in `metrics.csv`, hyperparameters in `hparams.yaml`, and `summary.md` with the figures."""
+    """CSV logger: in `csv/`, scalars in `metrics.csv`, hyperparameters in `hparams.yaml`, figures in `summary.md`."""
 
     def _open(self, folder: Path) -> Logger:
         _empty(self._files, "csv")
@@ -150,7 +150,7 @@ class Csv(RunLogger):
 
 
 class _Table(Logger):
-    """Lightning's `CSVLogger`, with each row that it adds noted in the run's manifest."""
+    """Replacement of Lightning's `CSVLogger` that notes each added row in the run's manifest."""
 
     _PATH = "csv/metrics.csv"
 
@@ -196,7 +196,7 @@ def _write_rows(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> by
 
 
 class Wandb(RunLogger):
-    """A Weights & Biases run in `wandb/`, offline: nothing reaches the network until the user types `wandb sync`.
+    """Weights & Biases run in `wandb/`, offline: nothing reaches the network until the user calls `wandb sync`.
 
     Args:
         project: Name of the project to which `wandb sync` adds the run.
@@ -210,10 +210,10 @@ class Wandb(RunLogger):
         self._project = project
 
     def _open(self, folder: Path) -> Logger:
-        os.environ["WANDB_ERROR_REPORTING"] = "false"  # it is sent from offline runs too
+        os.environ["WANDB_ERROR_REPORTING"] = "false"  # offline runs would send reports too
         import wandb
 
-        wandb.finish(exit_code=1)  # a run that a failed job of the same sweep left open; Lightning would go on with it
+        wandb.finish(exit_code=1)  # Lightning would continue a run that a failed job of the same sweep left open
         _empty(self._files, "wandb")
         quiet = {"silent": True, "console": "off", "x_disable_stats": True, "x_disable_meta": True}
         self._run = wandb.init(
@@ -237,13 +237,13 @@ class Wandb(RunLogger):
 
 
 class Mlflow(RunLogger):
-    """An MLflow run in `mlflow/`: the database `mlflow.db`, and the figures and `summary.md` as artifacts.
+    """MLflow run in `mlflow/`: the database `mlflow.db`, and the figures and `summary.md` as artifacts.
 
     Args:
         experiment: Name of the MLflow experiment.
 
     Raises:
-        ConfigError: mlflow is not installed, or not what it needs to write a database.
+        ConfigError: mlflow, or a package that it needs to write a database, is not installed.
     """
 
     def __init__(self, experiment: str = "frictionzoo") -> None:
@@ -256,11 +256,11 @@ class Mlflow(RunLogger):
 
         home = folder.absolute() / "mlflow"
         self._make_database()
-        # It tells at length how it makes its tables.
+        # MLflow logs the creation of each table.
         logging.getLogger("mlflow").setLevel(logging.WARNING)
         store = f"sqlite:///{home / 'mlflow.db'}"
         client = mlflow.MlflowClient(store)
-        # MLflow keeps databases open: a run that is to be forgotten is marked as deleted, not removed.
+        # MLflow keeps the database open, so an earlier run is marked as deleted, not removed.
         experiments = [known.experiment_id for known in client.search_experiments()]
         for earlier in client.search_runs(experiments, f"tags.{_TAG} != ''"):
             client.delete_run(earlier.info.run_id)
@@ -273,7 +273,7 @@ class Mlflow(RunLogger):
         )
 
     def _make_database(self) -> None:
-        """Have a database whose header, which MLflow leaves alone, tells that it is this program's."""
+        """Create a database whose header marks it as this program's; MLflow does not change the header."""
         self._files.refuse([_DATABASE])
         if self._files.owns(_DATABASE):
             return
@@ -303,6 +303,6 @@ def _require(extra: str, *packages: str) -> None:
 
 
 def _empty(files: Manifest, folder: str) -> None:
-    """Remove an earlier record of this program's; OutputError where anything else is in it."""
+    """Remove an earlier record of this program; raise OutputError if the folder holds anything else."""
     files.refuse_inside(folder)
     files.clear(folder)

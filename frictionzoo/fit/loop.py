@@ -1,4 +1,4 @@
-"""Lightning around a fit: chunks of compiled iterations; between them logs, progress, checkpoints, stop, resume."""
+"""Fit loop in Lightning: chunks of compiled iterations, with logs, progress, checkpoints and stopping between them."""
 
 import contextlib
 import io
@@ -30,20 +30,20 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.simulate.bridge import load_from_jax
 
 CHECKPOINT = "last.ckpt"
-BESIDE = 60  # columns of a terminal for the bar, its numbers and its times
-MOST_CHUNK = 1_000_000  # iterations in one call, which returns a row for each
+BESIDE = 60  # terminal columns for the bar, its counts and its times
+MOST_CHUNK = 1_000_000  # iterations in one call, which returns one row per iteration
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Record:
-    """Where the course of a fit is kept, so that it can be watched and, once interrupted, go on.
+    """Record of a fit on disk, for watching it and for resuming it after an interruption.
 
     Attributes:
-        folder: The run's folder, for `checkpoints/` and what the logger writes.
-        logger: What records loss, gradient norm and parameters of every iteration; the caller finishes it.
-        identity: What must agree before a checkpoint is taken up: name of the thing to its value.
-        hyperparameters: What the logger says about the run, as in `RunLogger.start`.
+        folder: The run's folder, for `checkpoints/` and the logger's files.
+        logger: Logger of loss, gradient norm and parameters of every iteration; the caller finishes it.
+        identity: Values by name that must agree with the checkpoint's before the fit resumes.
+        hyperparameters: Description of the run for the logger; see `RunLogger.start`.
     """
 
     folder: Path
@@ -62,22 +62,22 @@ def run_fit(
     patience: int | None = None,
     progress: bool = True,
 ) -> Outcome:
-    """Run a fit to its end, from the record's checkpoint if it has one.
+    """Run a fit to its end, from the record's checkpoint if there is one.
 
-    An interrupted fit that is run again ends with the same bits, wherever it was interrupted.
+    An interrupted and resumed fit ends with the same bits as an uninterrupted one.
 
     Args:
         fit: The method.
-        objective: What it minimises.
+        objective: The objective to minimise.
         model: The friction model; it holds the best values afterwards.
-        record: Where its course is kept; None to keep it in memory only.
+        record: The record on disk; None to keep the history in memory only.
         chunk: Iterations in one compiled call.
-        patience: Stop after so many iterations without a better loss; None to run all.
-        progress: Whether to show a progress bar where the terminal can.
+        patience: Number of iterations without a better loss after which to stop; None for no limit.
+        progress: Whether to show a progress bar if the output is a terminal.
 
     Raises:
         CheckpointError: The checkpoint cannot be read, or belongs to another run.
-        FitError: The first iteration already has no finite loss or gradient.
+        FitError: No iteration has a finite loss and gradient.
         OutputError: A checkpoint or the logger's record cannot be written.
         ConfigError: An argument is out of range.
     """
@@ -95,9 +95,9 @@ def run_fit(
 
 
 class _AtomicFiles(TorchCheckpointIO):
-    """A checkpoint is put in place in one step, from the same folder.
+    """Checkpoint writer that replaces a file atomically, from the same folder.
 
-    Lightning's own way goes through the temporary folder, and moving a file to another disk can be interrupted.
+    Lightning writes to the temporary folder first, and moving a file to another disk can be interrupted.
     """
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
@@ -107,9 +107,9 @@ class _AtomicFiles(TorchCheckpointIO):
 
 
 class _Saver(pl.Callback):
-    """A checkpoint after each chunk.
+    """Callback that saves a checkpoint after each chunk.
 
-    Lightning's ModelCheckpoint counts steps of torch optimisers, of which there is none, and would save nothing.
+    Lightning's ModelCheckpoint counts steps of torch optimisers. There are none, so it would save nothing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -120,7 +120,7 @@ class _Saver(pl.Callback):
 
 
 class _ProgressBar(pl.Callback):
-    """Iterations with the loss of the last one, and as many of its parameters as leave room for the bar."""
+    """Progress bar with the loss of the last iteration, and as many of its parameters as fit."""
 
     _bar: tqdm | None = None
 
@@ -140,7 +140,7 @@ class _ProgressBar(pl.Callback):
         self._close()
 
     def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
-        self._close()  # what is said about it stands on a line of its own
+        self._close()  # so that the error message starts on a new line
 
     def _close(self) -> None:
         if self._bar is not None:
@@ -148,7 +148,7 @@ class _ProgressBar(pl.Callback):
 
 
 def _say_last(trace: Trace, room: int) -> str:
-    """The loss of the last iteration, and as many of its parameters as fit into so many columns."""
+    """Return the loss of the last iteration, and as many of its parameters as fit into `room` columns."""
     told = f"loss={trace.loss[-1]:.3e}"
     for name, rows in trace.params.items():
         more = f", {name.partition('.')[2]}={' '.join(f'{v:.4g}' for v in rows[-1])}"
@@ -191,7 +191,7 @@ def _begin_record(record: Record, module: FitModule) -> Logger:
 
 
 def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | None:
-    """The folder's checkpoint if it has one and it belongs to this very run."""
+    """Return the folder's checkpoint, or None; raise CheckpointError if it belongs to another run."""
     path = folder / "checkpoints" / CHECKPOINT
     if not path.exists():
         return None

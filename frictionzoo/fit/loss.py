@@ -1,4 +1,4 @@
-"""How errors of predicted states count: weights, robust losses, and initial states that are estimated along."""
+"""Loss of simulated states: weights, robust losses, encoder resolution and impulses."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -21,17 +21,18 @@ ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "soft_l1": lambda z: 2 * (jnp.sqrt(1 + z) - 1),
     "cauchy": jnp.log1p,
 }
-"""Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
-_SOFT = 0.1  # of half an encoder step, over which errors begin to count at its end
-_LEAST = 1e-8  # of the largest mean square of a joint; a joint that stands still has none
+"""Robust losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
+_SOFT = 0.1  # width of the transition at the end of half an encoder step, as a share of that half
+_LEAST = 1e-8  # least mean square, as a share of the largest joint's; a joint at rest has none
 
 
 @dataclass(frozen=True)
 class Loss:
-    """How errors count; `Objective` says what its arguments mean.
+    """Weighting of errors; `Objective` documents the other arguments.
 
     Attributes:
-        size: Root mean square of each joint's errors of position and velocity, over which they count; None for 1 in SI.
+        size: Root mean square of each joint's position and velocity errors, by which errors are divided; None for 1 in
+            SI units.
 
     Raises:
         ConfigError: A weight is negative, or both are 0; the robust loss is unknown; options cannot be combined.
@@ -80,20 +81,20 @@ class Loss:
 
     @property
     def roots(self) -> Float[np.ndarray, "#nv 2"]:
-        """Of the weights of position and velocity, joint by joint."""
+        """Square roots of the weights of position and velocity, joint by joint."""
         return np.sqrt([[self.position, self.velocity]]) / (1.0 if self.size is None else self.size)
 
     @property
     def gap(self) -> Float[np.ndarray, "#nv 2"] | None:
-        """The same of the gap between segments; None where they stand alone."""
+        """Square roots of the weights of the defects between segments; None for independent segments."""
         return np.sqrt(self.continuity) * self.roots if self.continuity else None
 
     def unexplained(self, errors: Array) -> Array:
-        """Errors of position [rad or m] less what the rounding to an encoder's steps explains: within half a step all.
+        """Return position errors [rad or m] less the part that encoder rounding explains: all within half a step.
 
-        Where a reading is rounded it says no more than that the joint is within half a step of it, all places being
-        alike; the square of what is beyond keeps estimates there, while least squares would draw them to the middle of
-        steps, and rounding errors that follow each other would bend them.
+        A rounded reading only says that the joint is within half a step of it, anywhere with equal probability. The
+        squared excess keeps estimates within that range. Plain least squares would pull them to the reading, and
+        successive rounding errors, which are correlated, would bias them.
         """
         if not self.encoder_step:
             return errors
@@ -102,19 +103,19 @@ class Loss:
         return width * (ends[0] - ends[1])
 
     def widths(self, nv: int) -> Float[np.ndarray, "nv kinds"]:
-        """Over how much each weighted error begins to count; 0 where it counts from 0 on."""
+        """Return the width over which each weighted error begins to count; 0 where it counts from 0 on."""
         widths = np.array([[soft_width(self.encoder_step), 0.0]]) * self.roots
         return np.broadcast_to(widths[:, self.roots.any(axis=0)], (nv, int(self.roots.any(axis=0).sum())))
 
     def errors(
         self, start: tuple[Array, Array], predicted: tuple[Array, Array], armature: Any, block: Blocks
     ) -> Float[Array, "segments time nv kinds"]:
-        """Weighted errors of position and velocity, with that of the initial state first where it is refined.
+        """Return weighted errors of position and velocity, or weighted impulses.
 
-        Or weighted impulses, where these count.
+        Estimated initial states have an error too, which comes first.
         """
         errors = []
-        rounded = (self.unexplained, lambda missed: missed)  # positions alone
+        rounded = (self.unexplained, lambda missed: missed)  # only positions are rounded
         for root, beyond, begun, after, measured in zip(
             self.roots.T, rounded, start, predicted, (block.qpos, block.qvel), strict=True
         ):
@@ -126,12 +127,12 @@ class Loss:
         return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
 
     def counted(self, errors: Array, armature: Any, block: Blocks) -> Float[Array, "segments time nv"]:
-        """The errors, or the impulses of which they are made, where joints are fast enough."""
+        """Return the errors, or the impulses that cause them, with 0 where a joint is too slow."""
         missed = impulses(errors, block.inertia, armature) if self.impulse else errors
         return missed if block.counts is None else block.counts * missed
 
     def over(self, squares: Float[np.ndarray, "nv 2"]) -> "Loss":
-        """The same with each joint's errors over these mean squares, of which none counts as next to nothing.
+        """Return the loss with each joint's errors divided by the roots of these mean squares, with a lower limit.
 
         Raises:
             ConfigError: They are not finite.
@@ -145,15 +146,15 @@ class Loss:
         return replace(self, size=np.sqrt(np.maximum(squares, least)))
 
     def sum(self, squares: Array) -> Float[Array, ""]:
-        """Of squared residuals, what they count."""
+        """Return the sum of the robust loss over squared residuals."""
         square = self.robust_scale**2
         return jnp.sum(ROBUST[self.robust](squares / square)) * square
 
     def shares(self, squares: Array, exact: bool) -> tuple[Array, Array]:
-        """How far each residual counts in the gradient and in the second derivative.
+        """Return the weight of each residual in the gradient and in the Hessian.
 
-        A residual counts by the slope of its loss, as in iteratively reweighted least squares; in the second derivative
-        by its own one if that is to be exact, which can be negative.
+        The weight is the slope of the robust loss, as in iteratively reweighted least squares. With `exact`, the
+        Hessian's weight is the second derivative of the loss, which can be negative.
         """
         squares = squares / self.robust_scale**2
         robust = ROBUST[self.robust]
@@ -164,16 +165,16 @@ class Loss:
 
 
 def bend(errors: Array, widths: Array) -> Array:
-    """How many times the square of its slope the second derivative of half an error's square is.
+    """Return the curvature factor 1 + e e'' / e'^2: the second derivative of e^2 / 2 over the square of e's slope.
 
-    Gauss and Newton take it for 1, which it is of an error that counts from 0 on. Within half an encoder step it is up
-    to 2: with 1, each of their steps would go nearly twice as far as it should.
+    Gauss-Newton assumes 1, which holds for an error that counts from 0 on. Within half an encoder step the factor is up
+    to 2, and a Gauss-Newton step would be nearly twice too long.
 
     Args:
-        errors: As `Loss.unexplained` has them, e = w (log(1 + exp((x - h) / w)) - log(1 + exp((-x - h) / w))), which is
-            about 2 w exp(-h / w) sinh(x / w) for |x| < h; then e e'' / e'^2 is tanh(x / w)^2 there, and
-            (e / w) / (exp(e / w) - 1) elsewhere.
-        widths: Their w; 0 where the error is x.
+        errors: Errors e of `Loss.unexplained`, e = w (log(1 + exp((x - h) / w)) - log(1 + exp((-x - h) / w))), which is
+            about 2 w exp(-h / w) sinh(x / w) for |x| < h. There e e'' / e'^2 is tanh(x / w)^2; elsewhere it is
+            (e / w) / (exp(e / w) - 1).
+        widths: Widths w; 0 where the error is x.
     """
     soft = widths > 0
     over = jnp.where(soft, jnp.abs(errors) / jnp.where(soft, widths, 1.0), 0.0)
@@ -183,14 +184,14 @@ def bend(errors: Array, widths: Array) -> Array:
 
 
 def soft_width(encoder_step: float) -> float:
-    """Over how much errors begin to count beyond half an encoder step [rad or m], as noise of that size has it."""
+    """Return the width over which errors begin to count at half an encoder step [rad or m], like noise of that size."""
     return _SOFT * encoder_step / 2
 
 
 def mean_squares(
     loss: Loss, rollout: Callable[..., tuple[Any, Any]], values: Values, data: Blocks
 ) -> Float[np.ndarray, "nv 2"]:
-    """Of what counts of each joint's errors of position and velocity, over all segments, from measured states."""
+    """Return the mean squares of each joint's errors over all segments, from measured initial states."""
     found, number = np.zeros((data.qpos.shape[3], 2)), np.zeros(data.qpos.shape[3])
     for block in each(data):
         predicted = rollout(values, block.qpos[:, 0], block.qvel[:, 0], block.signals, block.load)
@@ -202,7 +203,7 @@ def mean_squares(
 
 
 def count_terms(data: Blocks) -> Float[np.ndarray, "nv"]:
-    """In how many intervals of all segments each joint counts."""
+    """Return the number of intervals, over all segments, in which each joint counts."""
     *_, intervals, nv = np.shape(data.qpos)
     if data.counts is None:
         return np.full(nv, (intervals - 1) * float(np.sum(data.weight)))

@@ -1,4 +1,4 @@
-"""A fit as Lightning sees it, and what it has found."""
+"""Lightning module of a fit, and the fit's outcome."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ from frictionzoo.simulate.bridge import load_from_jax
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a fit found.
+    """Outcome of a fit.
 
     Attributes:
-        method: The fit's name.
+        method: Name of the method.
         vector: Coordinates of the best iteration.
         values: Physical values of all parameters there, by owner and name.
-        iterations: Iterations done.
-        best_iteration: The one with the lowest loss on the whole training set, from 0.
+        iterations: Number of iterations done.
+        best_iteration: The iteration with the lowest loss on the whole training set, from 0.
         loss: That loss.
-        stopped: `converged`, `finished` (all iterations made), `patience`, or `diverged`.
-        message: For a fit that diverged, one line that says at which iteration and for which parameter.
-        history: Arrays with one entry an iteration: `iteration`, `loss`, `grad_norm`, and each identified physical
-            parameter under its full name, of shape (iterations, nv).
-        compile_seconds: Time that tracing and compiling took.
-        fit_seconds: Time of the iterations and everything between them.
+        stopped: `converged`, `finished` (all iterations done), `patience`, `diverged`, or `interrupted`.
+        message: For a fit that diverged, one line with the iteration and the parameter.
+        history: Arrays with one entry per iteration: `iteration`, `loss`, `grad_norm`, and each identified physical
+            parameter by full name, of shape (iterations, nv).
+        compile_seconds: Time of tracing and compiling [s].
+        fit_seconds: Time of the iterations and of everything between them [s].
     """
 
     method: str
@@ -53,15 +53,15 @@ class Outcome:
 
 
 class FitModule(pl.LightningModule):
-    """A fit as Lightning sees it: one epoch is one chunk of iterations, which optax and not Lightning updates.
+    """Lightning module of a fit: one epoch is one chunk of iterations, and the method does the updates.
 
     Args:
         fit: The method.
-        objective: What it minimises.
-        model: The friction model, so that a checkpoint holds its state_dict.
-        identity: What must agree before a checkpoint is taken up.
+        objective: The objective to minimise.
+        model: The friction model; a checkpoint holds its state_dict.
+        identity: Values by name that must agree with the checkpoint's before the fit resumes.
         chunk: Iterations in one compiled call.
-        patience: Stop after so many iterations without a better loss.
+        patience: Number of iterations without a better loss after which to stop; None for no limit.
     """
 
     def __init__(
@@ -89,12 +89,12 @@ class FitModule(pl.LightningModule):
 
     @property
     def iteration(self) -> int:
-        """Iterations done."""
+        """Number of iterations done."""
         return int(self.progress.iteration)
 
     @property
     def stopped(self) -> str | None:
-        """Why the fit is over, or None while it is not; it depends on nothing but the progress."""
+        """Why the fit is over, or None while it runs; depends on the progress only."""
         if bool(self.progress.broken):
             return "diverged"
         if bool(self.progress.converged):
@@ -105,11 +105,11 @@ class FitModule(pl.LightningModule):
         return "patience" if self._patience is not None and waited >= self._patience else None
 
     def on_train_start(self) -> None:
-        """A logger begins anew, also where the fit goes on from a checkpoint."""
+        """Log the history of a resumed fit again, because its loggers start empty."""
         self._log_rows(0, self._whole_history())
 
     def training_step(self, *_: Any) -> None:
-        """One chunk of iterations."""
+        """Run one chunk of iterations."""
         if self.stopped:
             self.trainer.should_stop = True
             return
@@ -122,14 +122,14 @@ class FitModule(pl.LightningModule):
         self.trainer.should_stop = self.stopped is not None
 
     def train_dataloader(self) -> Iterable[int]:
-        """One step an epoch; the segments are inside the objective."""
+        """Return one item, for one step per epoch; the objective holds the segments."""
         return [0]
 
     def configure_optimizers(self) -> None:
-        """None: optax owns the update."""
+        """Return None: the method does the updates."""
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Tensors and text only, so that a checkpoint loads without unpickling."""
+        """Save tensors and text only, so that a checkpoint loads without unpickling."""
         checkpoint["frictionzoo"] = {
             "identity": self._identity,
             "progress": _to_tensors(self.progress),
@@ -137,7 +137,7 @@ class FitModule(pl.LightningModule):
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Take up progress and history where they were."""
+        """Restore progress and history."""
         try:
             saved = checkpoint["frictionzoo"]
             progress = _from_tensors(saved["progress"], self.progress)
@@ -149,7 +149,7 @@ class FitModule(pl.LightningModule):
         self.progress, self.history = progress, [jax.tree.map(np.asarray, history)]
 
     def outcome(self, compile_seconds: float, fit_seconds: float) -> Outcome:
-        """What has been found so far.
+        """Return the outcome so far.
 
         Raises:
             FitError: No iteration had a finite loss.
@@ -192,7 +192,7 @@ class FitModule(pl.LightningModule):
         space, gradient = self.objective.space, np.asarray(self.progress.gradient)
         if np.isfinite(gradient).any():
             return f"the gradient of {space.first_nonfinite(gradient)} is not finite"
-        # A loss that is not finite has no finite gradient at all: that tells nothing about where it comes from.
+        # A loss that is not finite has no finite gradient entry, so the gradient does not show the cause.
         if int(self.progress.best_iteration) < 0:
             return f"the loss or its gradient is not finite at the initial values of {', '.join(space.names)}"
         moved = space.farthest(np.asarray(self.progress.vector), np.asarray(self.progress.best))
@@ -212,7 +212,7 @@ class FitModule(pl.LightningModule):
             for logger in self.loggers:
                 logger.log_metrics({name: float(column[row]) for name, column in columns.items()}, step=before + row)
         for logger in self.loggers:
-            logger.save()  # so that whoever watches the run sees it
+            logger.save()  # so that a viewer shows it at once
 
 
 def _to_tensors(tree: Any) -> list[torch.Tensor]:
@@ -220,14 +220,14 @@ def _to_tensors(tree: Any) -> list[torch.Tensor]:
 
 
 def _from_tensors(tensors: list[torch.Tensor], like: Any, rows: int | None = None) -> Any:
-    """The tensors in the form of `like`, or of so many rows of it; ValueError for those that do not fit it."""
+    """Return the tensors as a pytree like `like`, with `rows` rows if given; raise ValueError on a mismatch."""
     expected = jax.tree.leaves(like)
     for tensor, leaf in zip(tensors, expected, strict=True):
         came, kind = tensor.numpy(), np.asarray(leaf).dtype
         shape = np.shape(leaf) if rows is None else (rows, *np.shape(leaf)[1:])
         if came.dtype != kind or came.shape != shape:
             raise ValueError(f"{came.dtype} of shape {came.shape}, expected {kind} of shape {shape}")
-    # numpy stays numpy: in JAX, float64 would be rounded where it computes in 32 bits.
+    # numpy stays numpy: JAX would round float64 in 32-bit mode.
     leaves = [
         tensor.numpy() if isinstance(leaf, np.ndarray) else jnp.asarray(tensor.numpy())
         for tensor, leaf in zip(tensors, expected, strict=True)

@@ -1,4 +1,4 @@
-"""Motion and torque of recordings as inverse dynamics needs them: without phase lag, and decimated alike."""
+"""Motion and torque of recordings for inverse dynamics: zero-phase filters and decimation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,21 +12,21 @@ from frictionzoo.core.errors import ConfigError, LogError, refuse_outside
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import check_filter, smooth
 
-PASSED = 0.8  # of half the rate that is kept, up to which the decimation filter passes
-_RIPPLE, _POLES = 0.05, 7  # dB and order of the decimation filter; of an odd order, constants pass unchanged
-FEWEST = 10  # samples that are kept in a log at the least
-WIDER = 5.0  # times the bandwidth, the cut-off of the positions' filter
+PASSED = 0.8  # pass band of the decimation filter, as a share of half the decimated sample rate
+_RIPPLE, _POLES = 0.05, 7  # ripple in dB and order of the decimation filter; an odd order passes constants unchanged
+FEWEST = 10  # least number of decimated samples in a log
+WIDER = 5.0  # cut-off of the positions' filter as a multiple of the bandwidth
 BANDWIDTH = 20.0
-"""Frequency up to which torques are compared where nothing else is said [Hz]."""
+"""Default frequency up to which torques are compared [Hz]."""
 
 
 class Motion(NamedTuple):
-    """How joints moved, each of shape (time, nv).
+    """Motion of the joints, each of shape (time, nv).
 
     Attributes:
-        qpos: [rad or m].
-        qvel: [rad/s or m/s].
-        qacc: [rad/s^2 or m/s^2].
+        qpos: Position [rad or m].
+        qvel: Velocity [rad/s or m/s].
+        qacc: Acceleration [rad/s^2 or m/s^2].
     """
 
     qpos: Float[np.ndarray, "time nv"]
@@ -36,16 +36,16 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class Filtering:
-    """How positions become velocities and accelerations, and up to which frequency torques are compared.
+    """Filter settings for positions, their derivatives and torques.
 
     Attributes:
         bandwidth: Frequency up to which torques are compared [Hz].
-        cutoff: Of the low-pass of the positions [Hz]; None for `WIDER` times the bandwidth, so that what it takes from
-            the accelerations lies above. Where the sample rate does not allow it, as high as that does.
-        order: Of that filter, which running it forwards and backwards doubles.
-        slow: Share of a joint's root mean square speed below which a sample does not count: what friction does where
-            the motion turns round is not what it does in motion.
-        option: Where a user sets them, for messages.
+        cutoff: Cut-off of the low-pass filter of the positions [Hz]; None for `WIDER` times the bandwidth, so that it
+            attenuates accelerations only above the bandwidth, or less if the sample rate requires it.
+        order: Order of that filter, which running it forwards and backwards doubles.
+        slow: Share of a joint's root mean square speed below which a sample does not count, because friction differs
+            where the motion reverses.
+        option: Prefix of the options in error messages.
 
     Raises:
         ConfigError: A value is out of range.
@@ -64,9 +64,9 @@ class Filtering:
         refuse_outside(f"{self.option}.slow", self.slow, 0, 1)
 
     def motion(self, log: Log) -> Motion:
-        """Position, velocity and acceleration from measured positions alone, without phase lag.
+        """Return position, velocity and acceleration from measured positions, without phase lag.
 
-        A zero-phase Butterworth low-pass, then central differences.
+        A zero-phase Butterworth low-pass filter is followed by central differences.
 
         Source: M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error method for parameter
         identification of robot dynamics", 2013.
@@ -78,16 +78,16 @@ class Filtering:
         highest = PASSED * 0.5 / log.timestep
         cutoff = min(WIDER * self.bandwidth, highest) if self.cutoff is None else self.cutoff
         qpos = smooth(log.qpos, log.timestep, cutoff, self.order, log.name, f"{self.option}.cutoff")
-        # The difference over two intervals, not two differences in a row: these would see twice as far.
+        # The second difference over two intervals; two first differences in a row would span four.
         inner = (qpos[2:] - 2 * qpos[1:-1] + qpos[:-2]) / log.timestep**2
         return Motion(qpos, np.gradient(qpos, log.timestep, axis=0), np.pad(inner, ((1, 1), (0, 0)), mode="edge"))
 
     def is_moving(self, qvel: Float[np.ndarray, "rows nv"]) -> Bool[np.ndarray, "rows nv"]:
-        """Which samples count, joint by joint."""
+        """Return which samples count, joint by joint."""
         return np.abs(qvel) > self.slow * np.sqrt(np.mean(np.square(qvel), axis=0))
 
     def decimation(self, logs: Sequence[Log]) -> "Decimation":
-        """What torques of logs of one sample interval pass before they are compared.
+        """Return the filter and decimation for torques of logs with one common sample interval.
 
         Raises:
             LogError: A log is too short.
@@ -105,17 +105,17 @@ class Filtering:
 
 @dataclass(frozen=True)
 class Decimation:
-    """The same low-pass on both sides of an equation, and then few samples, which are next to independent.
+    """Low-pass filter and decimation for both sides of the torque equation; the samples kept are nearly independent.
 
-    What lies above the bandwidth, a torque's noise and ripple, is left out of the comparison; since the filter is
-    linear and the same for every term, nothing is distorted.
+    The filter removes torque noise and ripple above the bandwidth. It is linear and the same for every term, so the
+    equation still holds.
 
     Source: M. Gautier, "Dynamic identification of robots with power model", 1997, the parallel decimate filter.
 
     Attributes:
-        factor: Of as many samples, one is kept.
-        lengths: Samples of each log, one after the other.
-        edge: Samples at either end of a log that are left out, for the filters know one side only there.
+        factor: One of `factor` samples is kept.
+        lengths: Number of samples of each log.
+        edge: Number of samples dropped at each end of a log, where the filters see one side only.
     """
 
     factor: int
@@ -124,11 +124,11 @@ class Decimation:
 
     @property
     def rows(self) -> tuple[int, ...]:
-        """How many samples of each log are left."""
+        """Number of samples kept from each log."""
         return tuple(len(range(self.edge, length - self.edge, self.factor)) for length in self.lengths)
 
     def __call__(self, signal: Float[np.ndarray, "time *shape"]) -> Float[np.ndarray, "rows *shape"]:
-        """A signal of all logs, filtered and decimated log by log."""
+        """Filter and decimate a signal of all logs, log by log."""
         parts = np.split(signal, np.cumsum(self.lengths)[:-1])
         if self.factor > 1:
             sections = scipy.signal.cheby1(_POLES, _RIPPLE, PASSED / self.factor, output="sos")

@@ -1,4 +1,4 @@
-"""A sum of squares near a vector, by a few numbers in place of its residuals, of which a long log has millions."""
+"""Normal equations: a sum of squares near a vector in a few numbers, in place of millions of residuals."""
 
 from typing import Any, NamedTuple
 
@@ -6,18 +6,18 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-_NOTHING = 1e-24  # curvature, as a share of the largest, that is only rounding beside other entries
+_NOTHING = 1e-24  # curvature, as a share of the largest, below which it is rounding
 
 
 class NormalEquations(NamedTuple):
-    """The objective near a vector, as a linear least-squares problem; arrays in float64.
+    """Objective near a vector, as a linear least-squares problem; arrays in float64.
 
     Attributes:
         loss: The objective.
         gradient: Half its gradient, J' r.
-        hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J, with `bend` where errors
-            have a width.
-        states: Where the search for initial states at another vector begins, where there are any.
+        hessian: Half the Gauss-Newton approximation of its second derivative, J' J, with `bend` where errors have a
+            width.
+        states: Start of the search for initial states at another vector; None where they are not estimated.
     """
 
     loss: float
@@ -27,17 +27,17 @@ class NormalEquations(NamedTuple):
 
     @property
     def finite(self) -> bool:
-        """Whether all but the states is."""
+        """Whether loss, gradient and Hessian are finite."""
         return all(np.isfinite(part).all() for part in self[:3])
 
 
 def compress(
     equations: NormalEquations, unit: float
 ) -> tuple[Float[np.ndarray, "compressed"], Float[np.ndarray, "compressed coordinates"]]:
-    """N + 1 residuals and their Jacobian with the same loss, gradient and J' J.
+    """Return n + 1 residuals and their Jacobian with the loss, gradient and J' J of n coordinates, all over `unit`.
 
-    With J' J = V diag(w) V', the rows diag(sqrt(w)) V' are a Jacobian, and diag(1 / sqrt(w)) V' J' r are the residuals'
-    part within its columns' span; the last residual is the rest, which no coordinate moves.
+    With J' J = V diag(w) V', the Jacobian is diag(sqrt(w)) V', and the residuals are diag(1 / sqrt(w)) V' J' r. The
+    last residual is the remainder, which no coordinate changes.
     """
     curvature = np.diag(equations.hessian)
     least = max(_NOTHING * np.abs(curvature).max(initial=0.0), np.finfo(float).tiny)  # rounding leaves negative ones
@@ -58,7 +58,7 @@ def bounded_step(
     low: Float[np.ndarray, "coordinates"],
     high: Float[np.ndarray, "coordinates"],
 ) -> Float[np.ndarray, "coordinates"]:
-    """The step to the least of a quadratic within bounds, on them where they hold it.
+    """Return the step to the minimum of a quadratic within bounds, exactly on a bound where it is active.
 
     Source: P. Stark, R. Parker, "Bounded-Variable Least-Squares: an Algorithm and Applications", 1995.
     """

@@ -1,4 +1,4 @@
-"""What a fit minimises."""
+"""Loss that a fit minimises: mean square error of simulated segments."""
 
 import copy
 from collections.abc import Callable, Hashable
@@ -43,46 +43,46 @@ T = TypeVar("T")
 
 
 class Objective:
-    """Weighted mean square error of predicted states over all segments, as a function of a `Space`'s vector.
+    """Weighted mean square error of simulated positions and velocities over all segments, by the fit's coordinates.
 
     Source: Kovalev et al., Proc. MIPT 18(2), 2026, equation (3), with a mean in place of the sum and one weight each
     for position and velocity.
 
     Attributes:
         space: The coordinates.
-        data: What the functions below take as their last argument: the segments, spread over all local devices.
-        devices: How many these are.
-        stretches: Into how many stretches of consecutive segments the data are divided, as `divide` does it.
-        compile: `jax.jit` for functions that call these.
-        interval: Of the samples [s].
-        sizes: Mean squares over which errors count, of shape (nv, 2), as `balanced` has it; None where it has not.
-        recordings: What the segments were cut from; None where they follow another drive.
-        torch_law: Name of the friction law if it exists only in torch, None for any other. Its functions below are
-            called with arrays and cannot be compiled, and it has a gradient and no Jacobian.
+        data: The segments, spread over all local devices: the last argument of the methods `loss` and
+            `value_and_grad`.
+        devices: Number of these devices.
+        stretches: Number of stretches of consecutive segments; see `divide`.
+        compile: `jax.jit` for functions that call these methods.
+        interval: Sample interval [s].
+        sizes: Mean squares by which `balanced` divides squared errors, of shape (nv, 2); None without it.
+        recordings: Recordings that the segments were cut from; None where the segments follow another drive.
+        torch_law: Name of the friction model if it exists only in torch; None otherwise. With such a model the loss
+            takes concrete arrays, cannot be compiled, and has a gradient but no Jacobian.
 
     Args:
         space: The coordinates.
         rollout: The simulated drive.
-        segments: What was measured.
+        segments: Measured segments.
         position: Weight of squared position errors [1/rad^2 or 1/m^2].
         velocity: Weight of squared velocity errors [s^2/rad^2 or s^2/m^2].
-        robust: What becomes of a squared residual: `none`, `huber`, `soft_l1` or `cauchy`, as scipy names them.
-        robust_scale: Weighted residual from which on it counts less than its square.
-        refine: Whether each segment's initial state is estimated along, from its measured state and from all that
-            follows (multiple shooting), instead of being taken as measured.
-        continuity: Weight of the gap between the end of a segment and the initial state of the next one of the same
-            recording, over that of an error of position or velocity; 0 where segments stand alone. With it, short
-            segments act as one long rollout that cannot diverge.
-        encoder_step: Step to which positions were rounded [rad or m], so that errors count beyond half of it; 0: none.
-        by_joint: Whether `balanced` weighs joints.
-        impulse: Whether velocity errors count by the impulses that joints lacked for them, interval by interval, and
-            not as they add up.
-        slow: Share of a joint's root mean square speed; of slower intervals the impulse does not count.
+        robust: Robust loss by scipy's name: `none`, `huber`, `soft_l1` or `cauchy`.
+        robust_scale: Weighted residual above which the robust loss grows slower than the square.
+        refine: Whether to estimate each segment's initial state from its measured state and all later samples
+            (multiple shooting); otherwise the measured state is used.
+        continuity: Weight of the defect between the end of a segment and the initial state of the next one in the same
+            recording, relative to the weights of position and velocity errors; 0 for independent segments. With it,
+            short segments act as one long rollout that cannot diverge.
+        encoder_step: Resolution of the position encoder [rad or m]: errors count beyond half of it; 0 for none.
+        by_joint: Whether `balanced` weights the joints.
+        impulse: Whether to turn velocity errors into the impulse that each joint lacked in each sample interval.
+        slow: Share of a joint's root mean square speed; slower intervals do not count in the impulse.
 
     Raises:
-        ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined; initial
-            states are to be refined with a law that exists only in torch; segments are to hold together that do not
-            follow one another, or whose initial states are not refined.
+        ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined; the model
+            exists only in torch and `refine` or `impulse` is set; `continuity` is set but no segment follows another,
+            or without `refine`.
     """
 
     def __init__(
@@ -125,16 +125,16 @@ class Objective:
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
         self.recordings: Recordings | None = None
-        self._programs: dict[Any, Any] = {}  # compiled equations: a fit's own serve again when it is judged
+        self._programs: dict[Any, Any] = {}  # compiled equations, which the evaluation uses again
         self.sizes: np.ndarray | None = None
         self._begun: Begun | None = None
         self._wider: tuple[Objective, np.ndarray, np.ndarray] | None = None
-        self._correction: tuple[Array, Array] | None = None  # that measured states are moved by
+        self._correction: tuple[Array, Array] | None = None  # added to measured states
         self._sparsity = Sparsity.of(space, rollout.branches)
         self._terms = float(count_terms(self.data).sum()) + refine * segments.count * segments.qpos.shape[2]
 
     def for_drive(self, space: Space, rollout: Rollout) -> "Objective":
-        """The same objective of another drive on the same bench, on the data that the devices hold already."""
+        """Return this objective for another drive on the same bench; the data stay on the devices."""
         other = copy.copy(self)
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
         other._sparsity = Sparsity.of(space, rollout.branches)
@@ -142,19 +142,19 @@ class Objective:
         return other.beginning(np.asarray(measured_states(self.data.qpos, self.data.qvel)))
 
     def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Objective":
-        """The same objective with other initial coordinates, brought into the bounds."""
+        """Return this objective with other initial coordinates, clipped to the bounds."""
         other = copy.copy(self)
         other.space = self.space.starting(vector)
         return other
 
     @property
     def states(self) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
-        """Where the search for initial states begins; None where these are not refined."""
+        """Initial states at which their search begins; None where they are not estimated."""
         return np.asarray(self.data.begun, np.float64) if self._loss.refine else None
 
     @property
     def begun(self) -> Begun | None:
-        """The same, with how the states move with the coordinates."""
+        """Start of the search for initial states with their derivatives; None where they are not estimated."""
         if not self._loss.refine:
             return None
         whole, vector = self._whole(self.space.start)
@@ -164,11 +164,11 @@ class Objective:
 
     @property
     def timestep(self) -> float:
-        """Of the simulation whose equations are compiled [s]."""
+        """Time step of the simulation whose normal equations are compiled [s]."""
         return self._whole(self.space.start)[0].space.bench.timestep
 
     def beginning(self, states: Begun | Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
-        """The same objective whose search for initial states begins at these; None: where it does."""
+        """Return this objective with another start for the search for initial states; None changes nothing."""
         if states is None:
             return self
         other, begun = copy.copy(self), self.data.begun
@@ -178,7 +178,7 @@ class Objective:
         return other
 
     def among(self, kept: Bool[np.ndarray, "segments"] | None) -> "Objective":
-        """The same objective in which these segments alone count; None: all that do."""
+        """Return this objective restricted to these segments; None changes nothing."""
         if kept is None:
             return self
         other, weight = copy.copy(self), self.data.weight
@@ -188,16 +188,16 @@ class Objective:
         return other
 
     def balanced(self, sizes: Float[np.ndarray, "nv 2"] | None = None) -> "Objective":
-        """The same objective with each joint's errors over their size where the fit begins, if that is asked for.
+        """Return this objective with errors divided by their size at the start of the fit, joint by joint.
 
-        That size is the root mean square of errors of position and of velocity over all segments, from measured initial
-        states: what is left of a joint says how far it can be trusted, as in weighted least squares.
+        The size is the root mean square of a joint's position and velocity errors over all segments, from measured
+        initial states, as in weighted least squares. Without `by_joint` nothing changes.
 
         Args:
-            sizes: The mean squares, if they are known.
+            sizes: The mean squares; None to compute them.
 
         Raises:
-            ConfigError: The rollouts are not finite there.
+            ConfigError: The rollouts at the start are not finite.
         """
         if not self._loss.by_joint:
             return self
@@ -208,11 +208,11 @@ class Objective:
         return other
 
     def within(self, wider: "Objective", vector: Float[np.ndarray, "wider"]) -> "Objective":
-        """The same objective by the compiled equations of one with more coordinates, on the same data.
+        """Return this objective evaluated by the compiled equations of one with more coordinates, on the same data.
 
         Args:
-            wider: The other one, in which errors count alike.
-            vector: Where the other one's further coordinates stay.
+            wider: The objective with more coordinates and the same loss.
+            vector: Coordinates of `wider`, which fix those that this objective lacks.
         """
         other = copy.copy(self)
         places = np.array([wider.space.labels.index(label) for label in self.space.labels], int)
@@ -222,14 +222,14 @@ class Objective:
     def predict(
         self, vector: Float[np.ndarray, "coordinates"], states: Any = None
     ) -> list[Float[Array, "blocks segments time nv"]]:
-        """Positions and velocities by block and segment, from the initial states that were found, or from these.
+        """Return simulated positions and velocities by block and segment.
 
         Args:
             vector: The coordinates.
-            states: Initial states, (blocks, segments, twice nv).
+            states: Initial states, (blocks, segments, twice nv); None for those at which their search begins.
         """
         values = self.space.values(jnp.asarray(vector, self.space.start.dtype))
-        # On no device yet: where rollouts get arrays that lie on one, they are compiled again.
+        # numpy, on no device yet: arrays on a device would compile the rollouts again.
         states = np.asarray(self.data.begun if states is None else states)
         starts = (jnp.split(jnp.asarray(own), 2, axis=1) for own in states)
         parts = [
@@ -239,15 +239,15 @@ class Objective:
         return [jnp.stack(part) for part in zip(*parts, strict=True)]
 
     def approaching(self, finer: "Objective", vector: Float[np.ndarray, "coordinates"]) -> "Objective":
-        """The same objective with a finer simulation's residuals near a vector, by the slopes of this one.
+        """Return this objective with the residuals of a finer simulation near a vector, but its present derivatives.
 
-        Measured states are moved by as much as the finer rollouts are away from these: then only rollouts are compiled
-        of it, and no derivative.
+        Measured states are shifted by the difference between the two simulations' rollouts. The finer simulation then
+        needs compiled rollouts only, no derivatives.
 
         Source: V. Pereyra, "Iterated deferred corrections for nonlinear boundary value problems", 1968.
 
         Args:
-            finer: The same objective of the finer simulation, or the one with more coordinates that has the equations.
+            finer: The objective with the finer simulation, or its version with more coordinates; see `within`.
             vector: The coordinates.
         """
         other, begun, (whole, at) = copy.copy(self), self.data.begun, self._whole(vector)
@@ -258,7 +258,7 @@ class Objective:
         return other
 
     def _whole(self, vector: Any) -> tuple["Objective", Float[np.ndarray, "wider"]]:
-        """The objective whose equations are compiled, and its coordinates."""
+        """Return the objective whose equations are compiled, and its coordinates."""
         if self._wider is None:
             return self, np.asarray(vector, np.float64)
         whole, places, beside = self._wider
@@ -267,7 +267,7 @@ class Objective:
         return whole, at
 
     def describe(self) -> str:
-        """Return the residuals of a block as the text of a program, and how they are weighed."""
+        """Return the compiled program of a block's residuals as text, with the settings of the loss."""
 
         def residuals(vector: Array, block: Blocks) -> Array:
             own = measured_states(block.qpos[None], block.qvel[None])[0]
@@ -277,42 +277,42 @@ class Objective:
         return self.compile(residuals, forward=True).lower(self.space.start, block).as_text() + repr(self._loss)
 
     def remember(self, what: Hashable, make: Callable[[], T]) -> T:
-        """What was made for this objective before, under the same name, or what is made now."""
+        """Return what was made under this name before, or make and keep it."""
         if what not in self._programs:
             self._programs[what] = make()
         return self._programs[what]
 
     @property
     def torch_law(self) -> str | None:
-        """Name of a law that exists only in torch."""
+        """Name of the friction model if it exists only in torch, else None."""
         return self._rollout.law if isinstance(self._rollout, TorchRollout) else None
 
     def spread(self, tree: Any) -> Any:
-        """The same arrays on every device that holds data, as functions compiled for several expect them."""
+        """Copy arrays to every device that holds data, as functions compiled for several devices expect."""
         sharding = self.data.weight.sharding
         if self.devices == 1:
             return tree
         return jax.device_put(tree, NamedSharding(sharding.mesh, PartitionSpec()))
 
     def collect(self, tree: Any) -> Any:
-        """The same arrays on the first device again, where torch can take them."""
+        """Copy arrays back to the first device, where torch can read them."""
         return tree if self.devices == 1 else jax.device_put(tree, self._first)
 
     def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
-        """The objective."""
+        """Return the objective at a vector."""
         if self.torch_law:
             parts = each_part(data, self._states(vector, data))
             return jnp.sum(jnp.stack([self._block_loss(vector, *part) for part in parts]))
         return jnp.sum(jax.lax.map(lambda part: self._block_loss(vector, *part), (data, *self._states(vector, data))))
 
     def value_and_grad(self, derivative: str) -> Callable[[Array, Blocks], tuple[Array, Array]]:
-        """The objective and its gradient as one function of a vector and the data, not compiled.
+        """Return a function of a vector and the data that gives the objective and its gradient, not compiled.
 
         Args:
-            derivative: `forward` (a tangent for each coordinate), `reverse`, or `auto` for the cheaper one.
+            derivative: `forward` (one tangent per coordinate), `reverse`, or `auto` for the cheaper one.
 
         Raises:
-            ConfigError: The engine has no reverse mode for this bench, or the law has no other.
+            ConfigError: The engine has no reverse mode for this bench, or the model has no forward mode.
         """
         if isinstance(self._rollout, TorchRollout):
             return self._value_and_grad_in_torch(self._rollout, derivative)
@@ -341,7 +341,7 @@ class Objective:
     def _value_and_grad_in_torch(
         self, rollout: TorchRollout, derivative: str
     ) -> Callable[[Array, Blocks], tuple[Array, Array]]:
-        """The same for a law that exists only in torch, block by block: what lies in JAX is a torch operation."""
+        """Return the same function for a model that exists only in torch; JAX parts become torch operations."""
         if derivative == "forward":
             raise ConfigError(
                 f"fit.derivative=forward: {rollout.law} exists only in torch, which has reverse mode only; set "
@@ -363,17 +363,17 @@ class Objective:
             losses = []
             for block in each(data):
                 loss = of_block(moving, to_tensors(block))
-                loss.backward()  # at once, so that the steps of one block are kept and not those of all
+                loss.backward()  # block by block, so that memory holds the steps of one block only
                 losses.append(loss.detach())
             return to_arrays((torch.stack(losses).sum(), moving.grad))
 
         return of_all
 
     def compile_normal_equations(self) -> Callable[[Float[np.ndarray, "coordinates"]], NormalEquations]:
-        """The compiled function of a vector that gives the normal equations, with exact Jacobians.
+        """Return a compiled function of a vector that gives the normal equations with exact Jacobians.
 
-        They are summed block by block, so that no Jacobian of all residuals is ever kept; the sum over blocks is in
-        float64. With refined initial states these are eliminated (Schur complement).
+        Blocks are summed one by one in float64, so memory never holds the Jacobian of all residuals. Estimated initial
+        states are eliminated (Schur complement).
         """
         evaluate = self._compile_equations(exact=False)
         return lambda vector: evaluate(vector)[0]
@@ -383,10 +383,10 @@ class Objective:
     ) -> Callable[
         [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
     ]:
-        """As `compile_normal_equations`, with the part of the gradient that comes from each stretch of segments.
+        """Return the function of `compile_normal_equations`, extended by the gradient of each stretch of segments.
 
-        For a robust loss a residual counts in the second derivative by that of its loss, which can be negative, and not
-        by the loss's slope, which keeps the step of a fit a descent.
+        For a robust loss the Hessian uses the exact second derivative of the loss, which can be negative. A fit uses
+        its slope instead, so that every step descends.
         """
         return self._compile_equations(exact=self._loss.robust != "none")
 
@@ -404,9 +404,9 @@ class Objective:
 
     @property
     def _corrected(self) -> Blocks:
-        """The data of the compiled equations, with measured states as the correction moves them."""
+        """Data of the compiled equations, with the correction of `approaching` added to the measured states."""
         whole, data = self._whole(self.space.start)[0], self.data
-        if whole is not self:  # whose commands reach further back where a delay is among the coordinates
+        if whole is not self:  # with a delay among its coordinates, its commands start earlier
             data = whole.data._replace(qpos=data.qpos, qvel=data.qvel, weight=data.weight, begun=data.begun)
         if (correction := self._correction or whole._correction) is None:
             return data
@@ -415,14 +415,14 @@ class Objective:
         return data._replace(qpos=qpos, qvel=qvel)
 
     def _compiled(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
-        """Loss, gradient of each stretch and second derivative, as a function of a vector and the data.
+        """Return the function that gives loss, gradient by stretch, Hessian and the next start of initial states.
 
-        And where a search for initial states at another vector begins; None where they are not refined.
+        The last is None where initial states are not estimated.
         """
         return self.remember(exact, lambda: self._compile(exact))
 
     def _compile(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
-        """The same, compiled now. Each trial of initial states is a pass over all blocks with all derivatives."""
+        """Compile that function. Each trial of initial states is a pass over all blocks with all derivatives."""
         shooting, finish = self._shooting, jax.jit(self._finish)
         measured = measured_states(self.data.qpos, self.data.qvel)
         example = tuple(jax.device_put(part, self.data.begun.sharding) for part in (measured, follow(measured)))
@@ -433,7 +433,7 @@ class Objective:
         )
 
         def equations(vector: Array, data: Blocks, states: Array) -> Equations:
-            sharding = data.begun.sharding  # as the programs were compiled for
+            sharding = data.begun.sharding  # the one that the programs were compiled for
             blocks = each_part(data, tuple(jax.device_put(part, sharding) for part in (states, follow(states))))
             parts = side_by_side(lambda part: jax.tree.map(np.asarray, look(vector, part)), blocks, self.devices)
             return join_equations(parts)
@@ -477,12 +477,13 @@ class Objective:
     def _compile_both(
         self, look: Callable[[Array, Any], Any], then: Callable[[Any, Any], Any], example: Any
     ) -> Callable[[Array, Any], Any]:
-        """Two programs as one function of a vector and a block: a rollout, and what follows from it.
+        """Compile two programs into one function of a vector and a block: a rollout, and the equations from it.
 
-        On one device they are compiled side by side; over several, the first says how its results are spread.
+        On one device they compile in parallel. With several devices the first must run once, because the second needs
+        the sharding of its results.
         """
         start = self.spread(self.space.start)
-        if self.devices == 1:  # of the vector, nothing but its shape: the same program is known again
+        if self.devices == 1:  # the shape only, so that the compilation cache finds the program
             start = jax.ShapeDtypeStruct(start.shape, start.dtype)
         lowered = self.compile(look, forward=True).lower(start, example)
         with ThreadPoolExecutor(1) as beside:
@@ -493,10 +494,10 @@ class Objective:
         return lambda vector, part: second(first(vector, part), part)
 
     def _states(self, vector: Array, data: Blocks) -> tuple[Array, Array]:
-        """Where segments start, and the next ones, (blocks, segments, twice_nv): as measured, or as fits all best.
+        """Return initial states of all segments and of their successors, (blocks, segments, twice_nv).
 
-        No derivative goes through the search: at its end the objective does not change with the initial states, so
-        that its derivative is that at fixed ones.
+        They are measured or estimated. No derivative goes through the estimation: at its minimum the objective does not
+        change with the initial states, so its gradient is the gradient at fixed states.
         """
         if self._loss.refine:
             values, data = jax.lax.stop_gradient((self.space.values(vector), data))
@@ -518,7 +519,7 @@ class Objective:
         return self._loss.sum(jnp.square(residuals)) / self._terms
 
     def _loss_of_prediction(self, predicted: tuple[Array, Array], block: Blocks) -> Float[Array, ""]:
-        """A block's part of the objective where initial states are not refined."""
+        """Return a block's part of the objective where initial states are not estimated."""
         errors = self._loss.errors((block.qpos[:, 0], block.qvel[:, 0]), predicted, None, block)
         return self._loss.sum(jnp.square(errors)) / self._terms
 
@@ -536,7 +537,7 @@ class Objective:
         return jnp.concatenate([errors, gaps[:, None]], axis=1)
 
     def _look(self, vector: Array, block: Blocks, own: Array, following: Array) -> Seen:
-        """A block's residuals, with what their derivative is made of."""
+        """Return a block's residuals and their linearisation."""
 
         def residuals(vector: Array, own: Array) -> Array:
             return self._sparsity.by_branch(self._residuals(self.space.values(vector), own, following, block))
@@ -544,12 +545,12 @@ class Objective:
         return self._tangents.look(residuals, vector, own)
 
     def _block_equations(self, seen: Seen, exact: bool) -> Equations:
-        """Loss, gradient of each segment and second derivative by the tangents, before states are eliminated."""
+        """Return loss, gradient by segment and Hessian over the tangents, before initial states are eliminated."""
         errors, (slopes, by_state) = seen.residuals, self._tangents.slopes(seen)
         share, curvature = self._loss.shares(jnp.square(errors), exact)
         bent = self._bent(errors)
         curvature = curvature + (bent - 1) * share
-        # A GPU rounds the factors of a product to 10 bits unless told otherwise: too few to see what is collinear.
+        # By default a GPU rounds factors to 10 bits, too few to detect collinear coordinates.
         gradient = jnp.einsum("ibsk,bsk->bsi", slopes, share * errors, precision="highest")
         hessian = jnp.einsum("ibsk,jbsk->bij", slopes, curvature * slopes, precision="highest")
         loss = self._loss.sum(jnp.square(errors))
@@ -560,7 +561,7 @@ class Objective:
         return Equations(loss, gradient, hessian, local, Mixed(mixed, jnp.moveaxis(self._shooting.gap(slopes), 0, 3)))
 
     def _bent(self, errors: Float[Array, "branches segments terms"]) -> Float[Array, "branches #segments terms"]:
-        """`bend` of residuals by branch; the gap between segments, which come last, has no width."""
+        """Return `bend` of residuals by branch. Defects, which come last, have no width."""
         if not self._loss.encoder_step:
             return jnp.ones_like(errors)
         widths = self._loss.widths(self.data.qpos.shape[3])
@@ -571,9 +572,9 @@ class Objective:
         return bend(errors, self._sparsity.by_branch(jnp.asarray(rows, errors.dtype)))
 
     def _finish(self, found: Equations, data: Blocks) -> tuple[Array, ...]:
-        """Loss, gradient of each stretch, and second derivative by the coordinates, without the initial states.
+        """Return loss, gradient by stretch, Hessian over the coordinates, and derivative of the best initial states.
 
-        The last is the derivative of the best initial states, where these are refined.
+        Initial states are eliminated. Where they are not estimated, the last is empty.
         """
         loss, gradient, hessian, local, mixed = found
         slopes = jnp.zeros(0)

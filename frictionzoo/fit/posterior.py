@@ -1,4 +1,4 @@
-"""The posterior of what was identified, by NUTS: the joint distribution with the shape that the data give it."""
+"""Posterior of the identified parameters, sampled by NUTS."""
 
 import importlib.util
 import logging
@@ -21,29 +21,29 @@ from frictionzoo.fit.objective import Objective
 _log = logging.getLogger(__name__)
 
 MOST_COORDINATES = 20
-"""Coordinates up to which it is sampled: each draw takes tens of gradients, and each gradient a tangent for each."""
+"""Largest number of coordinates to sample: a draw takes tens of gradients, a gradient one tangent per coordinate."""
 CHAINS = 4
 WARMUP = 300
-"""Steps of each chain in which the sampler finds its step size and scales; they are no draws."""
+"""Steps of each chain in which the sampler adapts its step size and scales; they are discarded."""
 FEWEST = 250
-"""Draws of each chain at least, by which it is judged whether the chains agree."""
+"""Least number of draws of each chain, for the check whether the chains agree."""
 LARGEST_RHAT = 1.05
 LEAST_EFFECTIVE = 100.0
-_LEFT = 1.0  # standard deviations from the best vector to the minimum, from which on a fit has not converged
-_FAR = 100.0  # standard deviations from the middle up to which is sampled where bounds are farther
-_FLAT = 1.8  # standard deviation of the logit of a number that may be anywhere between 0 and 1
-_SINGULAR = 1e-8  # eigenvalue of a correlation matrix below which it has no inverse
-_STEP = 0.5  # first step size, in standard deviations
+_LEFT = 1.0  # standard deviations from the best vector to the minimum above which a fit has not converged
+_FAR = 100.0  # standard deviations from the centre within which to sample if bounds are farther away
+_FLAT = 1.8  # standard deviation of the logit of a number that is uniform between 0 and 1
+_SINGULAR = 1e-8  # eigenvalue of a correlation matrix below which it counts as singular
+_STEP = 0.5  # initial step size, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """What a fit minimised and where it ended, with the data; in memory only: a pickle or deep copy of it is None.
+    """Objective of a fit, with the data, and its best vector; in memory only: a pickle or deep copy of it is None.
 
     Attributes:
-        objective: What was minimised.
-        vector: The best one.
-        fit: How it was found.
+        objective: The objective that was minimised.
+        vector: The best coordinates.
+        fit: The method that found them.
     """
 
     objective: Objective
@@ -56,13 +56,13 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """Draws of the posterior, and whether the chains that made them agree.
+    """Draws from the posterior, with convergence diagnostics of the chains.
 
     Attributes:
-        vectors: Draws; a coordinate that was not sampled has its best value.
-        rhat: By the label of each sampled coordinate, rank-normalised split R-hat: 1 where the chains agree.
-        effective: By the same labels, the bulk effective sample size of all draws, of which `vectors` are some.
-        divergences: At how many draws the sampler's steps went astray.
+        vectors: Some of the draws; a coordinate that was not sampled has its best value.
+        rhat: Rank-normalised split R-hat of each sampled coordinate by label; 1 if the chains agree.
+        effective: Bulk effective sample size of all draws, by the same labels.
+        divergences: Number of divergent draws.
     """
 
     vectors: Float[np.ndarray, "count coordinates"]
@@ -74,36 +74,36 @@ class Chains:
 def draw_posterior(fitted: Fitted, covariance: Covariance, count: int, seed: int) -> Chains:
     """Draw from the posterior of the coordinates that have an interval; the others keep their best value.
 
-    p(x) ~ (1 + 2 D / n)^(-(n + k) / 2) within the bounds, 0 outside
+    p(x) ~ (1 + 2 D / n)^(-(n + k) / 2) within the bounds, 0 outside,
     D = c (F(y) - F(x_0)) / 2,  y = x_0 + C (x - m),  C (c H) C = V^-1,  det C = 1
 
-        x    the k coordinates, in each of which the prior is flat between its bounds
+        x    the k coordinates, each with a flat prior between its bounds
         F    the objective; x_0 its best vector, H half its second derivative there
         m, V, n  centre, matrix and degrees of freedom of the multivariate Student's t of `estimate_uncertainty`
-        c    makes of the mean square a log-likelihood of as many independent residuals as there seem to be
-        C    makes (c H)^-1 the sandwich covariance V; the identity where they are alike
+        c    scales the mean square to a log-likelihood with an effective number of independent residuals
+        C    makes (c H)^-1 equal to the sandwich covariance V; the identity where they agree already
 
-    Where F is a parabola, p is that Student's t, cut off at the bounds; elsewhere it is as skewed and as curved as F. A
-    sum of squares of correlated residuals, taken for a log-likelihood, would give a p several times too narrow, as
-    sigma^2 H^-1 is. c adjusts its magnitude, and C what is left of its curvature; of the matrices that do so, it is the
-    one that is symmetric in units of standard deviations. y is brought into the bounds. That there is no exponential of
-    -D comes from V, which is known by n degrees of freedom only: the chi-squared number by whose root
-    `Covariance.draw` divides is integrated out.
+    Where F is quadratic, p is that Student's t, truncated at the bounds; elsewhere p has the skewness and curvature of
+    F. The sum of squares of correlated residuals as log-likelihood would make p several times too narrow, like
+    sigma^2 H^-1. c adjusts its magnitude and C its remaining curvature; C is the solution that is symmetric in units of
+    standard deviations. y is clipped to the bounds. The power replaces exp(-D) because V has n degrees of freedom only:
+    it integrates out the chi-squared number by whose root `Covariance.draw` divides.
 
-    Sampled is the logit of where x is between its bounds, by `CHAINS` sequences of NUTS that begin around m, of
-    `WARMUP` steps and `FEWEST` draws or more. As in the intervals, a coordinate that ended at a bound counts as known;
-    so does one that only has an effect together with others.
+    `CHAINS` chains of NUTS sample the logit of x between its bounds. They start around m and take `WARMUP` steps and at
+    least `FEWEST` draws. As in the intervals, a coordinate that ended at a bound counts as known; so does one that has
+    an effect only in combination with others.
 
     Args:
-        fitted: What was minimised, and where it ended.
-        covariance: Of the coordinates that are sampled.
-        count: Draws.
-        seed: Of the draws.
+        fitted: The objective and its best vector.
+        covariance: Distribution of the coordinates to sample.
+        count: Number of draws to return.
+        seed: Seed of the draws.
 
     Raises:
         ConfigError: blackjax is not installed, there are more than `MOST_COORDINATES` coordinates, or the fit has a
             loss without rollouts.
-        FitError: The fit has not converged, there are fewer stretches of data than coordinates, or chains disagree.
+        FitError: The fit has not converged, the objective has no minimum at its end, there are too few stretches of
+            data for the coordinates, or the chains disagree.
 
     Source: M. Ribatet, D. Cooley, A. Davison, "Bayesian inference from composite likelihoods, with an application to
     spatial extremes", 2012, for c and C, their magnitude and curvature adjustments; B. Shaby, "The open-faced sandwich
@@ -122,20 +122,20 @@ def draw_posterior(fitted: Fitted, covariance: Covariance, count: int, seed: int
 
 @dataclass(frozen=True, eq=False)
 class _Target:
-    """The posterior of the coordinates `own`, as a function of numbers that have no bounds and about unit spread.
+    """Posterior of the coordinates `own`, as a function of unbounded numbers with about unit spread.
 
     Attributes:
-        own: Which of the objective's coordinates they are.
+        own: Indices of the sampled coordinates in the objective's vector.
         best: The best vector, of all coordinates.
         least: The objective there.
-        centre: Middle of each one's interval.
-        low: From where each is sampled.
-        high: Up to where.
+        centre: Middle of each coordinate's interval.
+        low: Lower end of the sampled range.
+        high: Upper end of the sampled range.
         freedom: Degrees of freedom.
-        magnitude: c.
-        curvature: C.
-        origin: Logit of where the centre is between the bounds.
-        spread: From unit spread to logits: a factor of their covariance.
+        magnitude: c of `draw_posterior`.
+        curvature: C of `draw_posterior`.
+        origin: Logit of the centre between `low` and `high`.
+        spread: Map from unit spread to logits: a factor of their covariance.
     """
 
     own: Int[np.ndarray, "own"]
@@ -152,7 +152,7 @@ class _Target:
 
     @classmethod
     def of(cls, fitted: Fitted, covariance: Covariance) -> "_Target":
-        """The target for what was fitted; see `draw_posterior` for what is refused."""
+        """Return the target of a fit; see `draw_posterior` for the errors raised."""
         space, best = fitted.objective.space, np.asarray(fitted.vector, np.float64)
         _refuse(fitted, covariance)
         own = np.array([space.labels.index(label) for label in covariance.labels])
@@ -175,26 +175,26 @@ class _Target:
         return cls(own, best, equations.loss, middle, low, high, covariance.freedom, *known)
 
     def place(self, free: Float[Array, "own"]) -> Float[Array, "own"]:
-        """The coordinates of a point."""
+        """Return the coordinates of a point."""
         logit = self.origin + jnp.asarray(self.spread, free.dtype) @ free
         return jnp.asarray(self.low + (self.high - self.low) * jax.nn.sigmoid(logit), free.dtype)
 
     def log_density(self, free: Float[Array, "own"], loss: Callable[[Array], Array]) -> Float[Array, ""]:
-        """The posterior's logarithm but for a constant, of the objective `loss` as a function of a vector."""
+        """Return the logarithm of the posterior up to a constant; `loss` is the objective as a function of a vector."""
         logit = self.origin + jnp.asarray(self.spread, free.dtype) @ free
         moved = jnp.asarray(self.curvature, free.dtype) @ (self.place(free) - self.centre).astype(free.dtype)
         asked = jnp.clip(self.best[self.own] + moved, self.low, self.high).astype(free.dtype)
         excess = self.magnitude / 2 * (loss(jnp.asarray(self.best, free.dtype).at[self.own].set(asked)) - self.least)
         power = (self.freedom + len(self.own)) / 2
         tail = -power * jnp.log1p(jnp.maximum(2 * excess / self.freedom, -0.5))
-        within = jax.nn.log_sigmoid(logit) + jax.nn.log_sigmoid(-logit)  # how fast the place moves with the logit
+        within = jax.nn.log_sigmoid(logit) + jax.nn.log_sigmoid(-logit)  # derivative of the coordinates by the logit
         return jnp.where(jnp.isfinite(excess), tail, -jnp.inf) + within.sum()
 
 
 def adjust(
     hessian: Float[np.ndarray, "own own"], covariance: Float[np.ndarray, "own own"]
 ) -> tuple[float, Float[np.ndarray, "own own"]]:
-    """The number c and the matrix C of determinant 1 with C' (c hessian) C = covariance^-1.
+    """Return the number c and the matrix C of determinant 1 for which C' (c hessian) C = covariance^-1.
 
     Raises:
         FitError: The covariance has no inverse, or the Hessian is not positive definite.
@@ -240,14 +240,14 @@ def _refuse(fitted: Fitted, covariance: Covariance) -> None:
 def _sample(
     objective: Objective, target: _Target, draws: int, seed: int
 ) -> tuple[Float[np.ndarray, "chains draws own"], Bool[np.ndarray, "chains draws"]]:
-    """All draws, and at which of them the sampler's steps went astray."""
-    import blackjax  # an extra
+    """Return all draws, and which of them diverged."""
+    import blackjax  # optional dependency
 
     of_all, dtype = objective.value_and_grad("auto"), objective.space.start.dtype
 
     def chain(key: Array, start: Array, data: Blocks) -> tuple[Array, Array]:
         def loss(vector: Array) -> Array:
-            # The objective's own derivative, in place of one through its rollouts a second time.
+            # Linear in the vector, with the gradient already computed: JAX does not differentiate the rollouts again.
             value, gradient = jax.lax.stop_gradient(of_all(jax.lax.stop_gradient(vector), data))
             return value + gradient @ (vector - jax.lax.stop_gradient(vector))
 
@@ -276,10 +276,10 @@ def _sample(
 
 
 def _diagnose(found: Float[np.ndarray, "chains draws own"]) -> tuple[list[float], list[float]]:
-    """R-hat and effective sample size of each coordinate."""
+    """Return R-hat and effective sample size of each coordinate."""
     from blackjax.diagnostics import ess_bulk, rhat
 
-    both = jax.jit(lambda draws: (rhat(draws), ess_bulk(draws)))(found)  # operation by operation it takes seconds
+    both = jax.jit(lambda draws: (rhat(draws), ess_bulk(draws)))(found)  # without compilation it takes seconds
     return np.atleast_1d(both[0]).tolist(), np.atleast_1d(both[1]).tolist()
 
 
@@ -289,7 +289,7 @@ def _pick(
     found: Float[np.ndarray, "chains draws own"],
     count: int,
 ) -> Float[np.ndarray, "count coordinates"]:
-    """So many of the draws, evenly from all chains."""
+    """Return `count` of the draws, evenly from all chains."""
     vectors = np.repeat(np.asarray(best, np.float64)[None], count, axis=0)
     every = found.reshape(-1, len(own))
     vectors[:, own] = every[np.linspace(0, len(every) - 1, count).round().astype(int)]
@@ -297,7 +297,7 @@ def _pick(
 
 
 def _refuse_disagreement(chains: Chains, draws: int) -> None:
-    # NaN, of chains that never moved, is worst.
+    # Chains that never moved give NaN, which counts as worst.
     worst = max(chains.rhat, key=lambda label: np.nan_to_num(chains.rhat[label], nan=np.inf))
     fewest = min(chains.effective, key=lambda label: np.nan_to_num(chains.effective[label], nan=-np.inf))
     rhat, effective = chains.rhat[worst], chains.effective[fewest]

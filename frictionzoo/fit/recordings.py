@@ -1,4 +1,4 @@
-"""What the segments of a fit were cut from."""
+"""Recordings from which the segments of a fit were cut."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,12 @@ from frictionzoo.models import FrictionModel
 
 
 class Recordings(NamedTuple):
-    """What the segments were cut from, for a method that looks at whole recordings.
+    """Bench, model and whole recordings of a fit, for methods that need more than segments.
 
     Attributes:
         bench: The test stand.
-        model: The friction law, ready for the data.
-        logs: As the bench accepts them.
+        model: The friction model, ready for the data.
+        logs: The recordings, in the form that the bench accepts.
     """
 
     bench: Bench

@@ -1,4 +1,4 @@
-"""The same bench without friction: what every result is compared with."""
+"""Reference fit of the bench without friction, with which every result is compared."""
 
 import hashlib
 from pathlib import Path
@@ -19,8 +19,8 @@ def fit_reference(objective: Objective, folder: Path | None = None) -> Values:
     """Minimise the objective from the initial values, to a relative change of 1e-6.
 
     Args:
-        objective: That of a bench without friction.
-        folder: Where the minimum is kept for other jobs with the same objective; None to keep nothing.
+        objective: The objective of a bench without friction.
+        folder: Folder in which the minimum is cached for other jobs with the same objective; None for no cache.
 
     Returns:
         Physical values of all parameters by owner and name.
@@ -36,7 +36,7 @@ def fit_reference(objective: Objective, folder: Path | None = None) -> Values:
 
 
 def _fingerprint(objective: Objective) -> str:
-    """Of all that the minimum follows from: residuals as a program's text, the loss, its data, start and bounds."""
+    """Return a hash of everything that determines the minimum: program of the residuals, loss, data, start, bounds."""
     space, data = objective.space, objective.data
     arrays = {"start": space.start, "low": space.low, "high": space.high, **data._asdict(), **data.signals.named()}
     del arrays["signals"]

@@ -1,4 +1,4 @@
-"""Several starts, at what laws find that the law contains among them: the best of the minima that they lead to."""
+"""Multi-start: Levenberg-Marquardt from several starting points, among them the fits of nested models."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -19,24 +19,24 @@ from frictionzoo.models import FrictionModel
 
 _log = logging.getLogger(__name__)
 
-_SHARES = (1.0, 0.5, 0.0)  # of the delay found, with which the initial armature is tried again
-_ALIKE = 0.2  # of the coordinate of an armature that is the same
-_SHIFTS = (-1.0, -0.5, 0.5, 1.0)  # sample intervals by which commands are tried to act later than was found
-_SHORT = 12  # vectors that are tried after a shift, at the most: a minimum is near, or the delay is none
-_NEAR = 0.2  # sample intervals within which another delay leads to the same minimum
-_FAR = 2.0  # of a coordinate: so far others follow a shifted delay, at most
-_ROUNDS = 5  # of such shifts, each from the best of those before
-_FLAT = 1e-8  # curvature of a combination, as a share of the largest, from which on the delay may move it along
-_BETTER = 1e-6  # share of the loss by which another minimum has to be lower
+_SHARES = (1.0, 0.5, 0.0)  # shares of the best delay that are tried with the initial armature
+_ALIKE = 0.2  # difference in an armature's coordinate below which the armature counts as the same
+_SHIFTS = (-1.0, -0.5, 0.5, 1.0)  # sample intervals added to the best delay
+_SHORT = 12  # largest number of vectors after a shift: a minimum is near, or this delay has none
+_NEAR = 0.2  # difference in sample intervals below which two delays lead to the same minimum
+_FAR = 2.0  # largest change of any coordinate that follows a shifted delay
+_ROUNDS = 5  # rounds of shifts, each from the best result so far
+_FLAT = 1e-8  # curvature of a combination, as a share of the largest, below which it does not follow the delay
+_BETTER = 1e-6  # share of the loss by which another minimum must be lower
 
 
 class End(NamedTuple):
-    """Where a search ended.
+    """Result of one search.
 
     Attributes:
-        name: Of where it began.
+        name: Name of the starting point.
         vector: The best coordinates.
-        loss: The objective there; infinite where it is not finite at the beginning.
+        loss: The objective there; infinite where it is not finite at the start.
     """
 
     name: str
@@ -46,21 +46,27 @@ class End(NamedTuple):
 
 @register_method("several")
 class Several(Fit):
-    """Levenberg-Marquardt from several starts; the best of the minima that they lead to is the result.
+    """Levenberg-Marquardt from several starting points; the best minimum is the result.
 
-    The starts are the initial values; the best values of each law that the law contains, which are found in the same
-    way, with what it has besides at the values with which it is that law, and at its initial values; other values of
-    parameters over which the law is known to have several minima (`FrictionModel.valleys`), beside the best so far; the
-    best so far with the initial armature and all, half and nothing of the delay found, which may have made up for
-    inertia until nearly no armature was left; and a delay that is up to a sample interval shorter or longer: held
-    commands leave a minimum in each interval. The result is never worse than that of a contained law, but for bounds
-    that keep it from being that law exactly.
+    The starting points are:
+
+    - the initial values;
+    - the result of each nested model, fitted in the same way, with the further parameters at the values that reduce the
+      model to the nested one, and at their initial values;
+    - the best result so far with other values of parameters in which the model is known to have several minima
+      (`FrictionModel.valleys`);
+    - the best result so far with the initial armature and all, half or none of its delay, because a delay can replace
+      nearly all of the inertia;
+    - the best result so far with a delay up to one sample interval shorter or longer, because held commands cause a
+      minimum in each interval.
+
+    The result is never worse than a nested model's, unless bounds exclude the nested model.
 
     Args:
-        tries: `iterations` of `LevenbergMarquardt`, of each search.
-        tolerance: Share of the loss by which a step has to promise to lower it.
-        contained: Whether to look at contained laws and other values of parameters, too; without, the starts are the
-            initial values and other delays alone.
+        tries: Largest number of vectors that each search tries.
+        tolerance: A search ends when the predicted decrease of the loss is below this share of it.
+        contained: Whether to start from nested models and other parameter values too; if not, only from the initial
+            values and other delays.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -75,19 +81,19 @@ class Several(Fit):
         self._tries, self._tolerance, self._contained = tries, tolerance, contained
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; not for a network nor for a law only in torch, as `LevenbergMarquardt`."""
+        """See `Fit.total`; refuses networks and models only in torch, as `LevenbergMarquardt` does."""
         LevenbergMarquardt().total(objective)
         return 1
 
     def init(self, objective: Objective) -> tuple[Any, Any]:
-        """See `Fit.init`; all searches are done here."""
+        """See `Fit.init`; runs all searches."""
         self.total(objective)
         searches = Searches(objective, self._tries, self._tolerance)
         best = searches.best(searches.look() if self._contained else searches.go_on(np.asarray(objective.space.start)))
         return best.vector, searches.states
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
-        """See `Fit.step`; there is nothing left to do."""
+        """See `Fit.step`; evaluates the best vector."""
         found = objective.beginning(state).compile_normal_equations()(np.asarray(vector, np.float64))
         return Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss)), vector, state
 
@@ -101,10 +107,10 @@ class Several(Fit):
 
 
 class Searches:
-    """All searches of an objective, each law that is contained looked at once.
+    """All searches of an objective; each nested model is fitted once.
 
     Args:
-        objective: What is minimised.
+        objective: The objective to minimise.
         tries: Largest number of vectors that each search tries.
         tolerance: As in `Several`.
         kept: Which coordinates move; None for all.
@@ -121,20 +127,20 @@ class Searches:
 
     @property
     def states(self) -> Any:
-        """Where a search for initial states begins at the best vector so far."""
+        """Start of the search for initial states at the best vector so far."""
         return self._states
 
     def go_on(self, vector: Float[np.ndarray, "coordinates"]) -> End:
-        """Where a search from this vector ends; what does not move stays as it is there."""
+        """Search from this vector; coordinates that do not move keep its values."""
         return self._descend(self._moving(vector), "the given start", vector)
 
     def look(self) -> End:
-        """The best from all starts that laws which the law contains give, with all coordinates moving."""
+        """Search from all starting points that nested models give, with all coordinates moving."""
         recordings = self._objective.recordings
         return self._look(Part.of(None if recordings is None else recordings.model, self._space))
 
     def best(self, found: End) -> End:
-        """The same or a better one, from the initial armature, and with other delays."""
+        """Improve a result with the initial armature and with other delays."""
         recordings = self._objective.recordings
         delays = [at for at, label in enumerate(self._space.labels) if label == "bench.delay" and self._kept[at]]
         if recordings is not None and delays:
@@ -143,13 +149,13 @@ class Searches:
         return found
 
     def _moving(self, vector: Float[np.ndarray, "coordinates"]) -> Part:
-        """Coordinates without a meaning, those alone that move."""
+        """Return a `Part` of the moving coordinates alone, without reference to a model."""
         return Part(
             FrictionModel, self._space, np.where(self._kept, 0.0, vector), np.eye(len(vector))[:, self._kept], {}, {}
         )
 
     def _evaluate(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
-        """The objective there, whose initial states are searched from those of the last vector that was as good."""
+        """Evaluate the objective; the search for initial states begins at those of the last vector that was as good."""
         found = self._objective.compile_normal_equations()(vector)
         if is_near(found.loss, self._least):
             self._objective = self._objective.beginning(found.states)
@@ -158,7 +164,7 @@ class Searches:
         return found
 
     def _look(self, part: Part) -> End:
-        """The best of a law, from all its starts."""
+        """Return the best result of a model from all its starting points."""
         if (known := self._found.get(part.law.name)) is not None:
             return known
         initial = part.whole(np.clip(*part.box))
@@ -184,7 +190,7 @@ class Searches:
         most: int = MOST_TRIES,
         enough: Callable[[np.ndarray], bool] = lambda vector: False,
     ) -> End:
-        """Where a search with this law's own coordinates ends."""
+        """Search in the coordinates of this model."""
         _, low, high = part.box
         box = Box(part.own(vector), low, high)
         own, loss = descend(
@@ -198,7 +204,7 @@ class Searches:
         return End(name, part.whole(own), loss)
 
     def _shift(self, best: End, at: int, interval: float) -> End:
-        """The same or a better one, with a delay that is some sample intervals shorter or longer."""
+        """Improve a result with delays up to a sample interval shorter or longer, in several rounds."""
         whole, kept = self._moving(best.vector), self._kept
         unit = interval / float(self._space.params["bench.delay"].scale)
         low, high = (float(side[at]) for side in (self._space.low, self._space.high))
@@ -221,7 +227,7 @@ class Searches:
         return best
 
     def _restore_inertia(self, best: End, whole: Part, at: int, unit: float) -> End:
-        """The same or a better one, from the initial armature and a part of the delay."""
+        """Improve a result with the initial armature and a part of the delay."""
         inertia = np.array([label.startswith("bench.armature") for label in self._space.labels])
         is_as_late, ends = _is_near([best.vector[at]], at, unit), [best]
 
@@ -238,13 +244,16 @@ class Searches:
 
 
 def _least(ends: Sequence[End]) -> End:
-    """The best, the first of those that are as good."""
+    """Return the best result; of equally good ones, the first."""
     least = min(end.loss for end in ends)
     return next(end for end in ends if end.loss <= least * (1 + _BETTER))
 
 
 def _is_near(places: Sequence[float], at: int, unit: float) -> Callable[[np.ndarray], bool]:
-    """Whether a vector's delay leads to the same minimum as one of these: it is near, in the same sample interval."""
+    """Return a test of whether a vector's delay is near one of these and in the same sample interval.
+
+    Such delays lead to the same minimum.
+    """
     late = np.asarray(places) / unit
 
     def is_near(vector: np.ndarray) -> bool:
@@ -255,7 +264,7 @@ def _is_near(places: Sequence[float], at: int, unit: float) -> Callable[[np.ndar
 
 
 def _along(hessian: Float[np.ndarray, "coordinates coordinates"], at: int) -> Float[np.ndarray, "coordinates"]:
-    """How all coordinates move for the least loss when one of them moves by 1."""
+    """Return how all coordinates move, for the least loss, when one of them moves by 1."""
     others = np.delete(np.arange(len(hessian)), at)
     scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
     curved = hessian / np.outer(scale, scale)

@@ -1,4 +1,4 @@
-"""Multiple shooting: the initial state of every segment, estimated from the segment and from what lies beside it."""
+"""Multiple shooting: initial states of all segments, estimated from the segments and their neighbours."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -14,24 +14,24 @@ from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.linear import solve_spd
 
-_MOST_LOOKS = 6  # trial states: rollouts are nearly linear in them but for sticking and sliding
-_ALONE = 1e-12  # gain of the next step, as a share of the sum of squares, at which a search outside a fit ends
+_MOST_LOOKS = 6  # trial states; few, because rollouts are nearly linear in them except where a joint starts or stops
+_ALONE = 1e-12  # predicted gain of the next step, as a share of the sum of squares, that ends a search outside a fit
 _FIRST, _LATER, _APART = 1e-2, 1e-4, 0.1
-"""In a fit, the gain of the next step is subtracted from the sum of squares, and the search ends earlier: at these
-shares of the sum at the fit's first vector and at later ones, and there at this share of the difference between the
-sums of two vectors, if that is more."""
-_DAMPING, _LEAST_DAMPING = 1e-2, 1e-2  # of Levenberg and Marquardt, at first and after a step that failed
+"""Shares at which a search within a fit ends. The fit subtracts the predicted gain of the next step from the sum of
+squares, so its searches may end earlier: at the first share of the sum at the fit's first vector, at the second share
+of the sum at later vectors, or, if larger, at the third share of the change of the sum between two vectors."""
+_DAMPING, _LEAST_DAMPING = 1e-2, 1e-2  # of Levenberg-Marquardt, initial and at least after a failed step
 
 
 class Local(NamedTuple):
-    """A sum of squares near initial states, as far as it comes from single segments, by branch and segment.
+    """Sum of squares of each segment near its initial state, by branch and segment.
 
     Attributes:
         square: The sum of squares.
-        gradient: Half its gradient by the segment's own state, J' r.
-        hessian: J' J, and `bend` of it.
-        gap: Residuals of the gap between a segment's end and the next one's initial state, in the order of the states.
-        gap_slopes: Their derivative by the segment's own state, which comes first.
+        gradient: Half its gradient with respect to the segment's initial state, J' r.
+        hessian: J' J, with the curvature `bend`.
+        gap: Weighted defects between the segment's end and the next initial state, in the order of the states.
+        gap_slopes: Derivative of the defects with respect to the segment's initial state, which is the first axis.
     """
 
     square: Float[Array, "branches segments"]
@@ -42,11 +42,11 @@ class Local(NamedTuple):
 
 
 class Mixed(NamedTuple):
-    """What goes with the coordinates and with the initial states.
+    """Mixed second derivatives of coordinates and initial states.
 
     Attributes:
-        own: Product of the residuals' derivatives by a segment's own state and by each tangent.
-        gap: Derivative of the gap's residuals by each tangent.
+        own: Product of the residuals' derivatives with respect to the segment's initial state and to each tangent.
+        gap: Derivative of the defects with respect to each tangent.
     """
 
     own: Float[Array, "branches segments state tangents"]
@@ -54,13 +54,13 @@ class Mixed(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """Where a search for initial states begins.
+    """Start of a search for initial states.
 
     Attributes:
-        states: The best states of a vector, (blocks, segments, twice nv).
+        states: Best initial states at a vector, (blocks, segments, twice nv).
         vector: That vector, of shape (coordinates,).
-        slopes: Their derivative by each tangent, (branches, segments, state, tangents).
-        square: The sum of squares there; infinite where it is not known.
+        slopes: Derivative of the states with respect to each tangent, (branches, segments, state, tangents).
+        square: The sum of squares there; infinite where unknown.
     """
 
     states: Any
@@ -70,18 +70,18 @@ class Begun(NamedTuple):
 
 
 class Search(NamedTuple):
-    """A search for initial states, by branch and segment.
+    """Progress of a search for initial states, by branch and segment.
 
     Attributes:
-        trial: The states to be tried next.
+        trial: The next states to try.
         state: The best states so far.
-        local: The sum of squares at these.
-        damping: Of Levenberg and Marquardt, for each segment.
-        looks: Number of states that were tried.
-        other: The sum of squares at the last vector of a fit; infinite at its first one, NaN outside a fit.
-        gain: By how much the next trial lowers the sum of squares below the last one, as slopes predict it.
+        local: The sum of squares at the best states.
+        damping: Levenberg-Marquardt damping of each segment.
+        looks: Number of states tried.
+        other: The sum of squares at the fit's previous vector; infinite at its first vector, NaN outside a fit.
+        gain: Predicted decrease of the sum of squares from the last trial to the next.
         settled: Whether the gain is small enough to end the search.
-        ended: Whether the search ends.
+        ended: Whether the search has ended.
     """
 
     trial: Float[Array, "branches segments state"]
@@ -96,21 +96,21 @@ class Search(NamedTuple):
 
     @classmethod
     def begin(cls, begun: Float[Array, "branches segments state"], unknown: Local, other: Any = jnp.nan) -> "Search":
-        """Return a search that begins at these states; `unknown` is infinite."""
+        """Return a search that begins at these states; `unknown` is a `Local` filled with infinity."""
         damping, no = jnp.full(begun.shape[:2], _DAMPING, begun.dtype), jnp.asarray(False)
         other, gain = (jnp.asarray(value, begun.dtype) for value in (other, 0.0))
         return cls(begun, begun, unknown, damping, jnp.asarray(0), other, gain, no, no)
 
 
 class Equations(NamedTuple):
-    """A sum of squares near a vector and initial states, by branch.
+    """Sum of squares near a vector and initial states, by branch.
 
     Attributes:
         loss: The sum.
-        gradient: Half its gradient by each tangent.
+        gradient: Half its gradient with respect to each tangent.
         hessian: J' J of the tangents.
-        local: The same of initial states; None where these are not estimated.
-        mixed: What goes with both.
+        local: The part of the initial states; None where they are not estimated.
+        mixed: The mixed second derivatives; None likewise.
     """
 
     loss: Float[Any, ""]
@@ -121,22 +121,22 @@ class Equations(NamedTuple):
 
 
 class Shooting(NamedTuple):
-    """Initial states that are estimated along.
+    """Estimator of the initial states of all segments.
 
-    Each segment's state counts in its own residuals. Where segments hold together, the last residuals of each are the
-    gap to the state at which the next one begins, times a weight: short segments then act as one long rollout that
-    cannot diverge. All states of a recording depend on each other, each directly on its neighbours alone.
+    A segment's residuals depend on its initial state. Where segments are linked, its last residuals are the weighted
+    defects between its end and the next initial state. Short segments then act as one long rollout that cannot
+    diverge, and each initial state is coupled directly to its neighbours only.
 
     Source: H. Bock, K. Plitt, "A multiple shooting algorithm for direct solution of optimal control problems", 1984;
-    the gaps are not closed by force but weighted, as process noise is in Y. Tremolet, "Model-error estimation in
-    4D-Var", 2007.
+    Y. Tremolet, "Model-error estimation in 4D-Var", 2007, for weighted defects, which act like process noise, in place
+    of equality constraints.
 
     Attributes:
-        residuals: Of a block, from values, own and following initial states and the block: weighted errors of position
-            and velocity, the gap last where segments hold together.
-        bent: Of residuals by branch, `bend`.
+        residuals: Function of values, initial states, next initial states and a block that returns the block's weighted
+            errors of position and velocity, with the defects last where segments are linked.
+        bent: Function that returns `bend` of residuals by branch.
         sparsity: Branches of the robot.
-        root: Root of the weight of each joint's gap in position and velocity; None where segments stand alone.
+        root: Root of the weight of each joint's defect in position and velocity; None for independent segments.
     """
 
     residuals: Callable[[Values, Array, Array, Blocks], Float[Array, "segments time nv kinds"]]
@@ -145,7 +145,7 @@ class Shooting(NamedTuple):
     root: Float[np.ndarray, "#nv 2"] | None
 
     def find_states(self, values: Values, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
-        """Return the initial states that fit the segments best, as part of a compiled program."""
+        """Return the initial states that fit the segments best; for use in a compiled program."""
 
         def improve(search: Search) -> Search:
             return self.advance(search, self._look(values, search.trial, data), data)
@@ -163,7 +163,7 @@ class Shooting(NamedTuple):
         return self.sparsity.states_by_branch(jnp.asarray(states).reshape(-1, states.shape[2]))
 
     def predict(self, begun: Begun, vector: Float[Array, "coordinates"]) -> Float[Array, "branches segments state"]:
-        """Return the best states of another vector, from their slopes."""
+        """Extrapolate the best states to another vector by their slopes."""
         moved = jnp.append(vector - begun.vector, jnp.zeros(1, vector.dtype))[self.sparsity.place]
         return self.by_branch(begun.states) + jnp.einsum("bsit,bt->bsi", begun.slopes, moved)
 
@@ -172,9 +172,9 @@ class Shooting(NamedTuple):
         return self.sparsity.states_together(state).reshape(data.begun.shape)
 
     def advance(self, search: "Search", tried: Local, data: Blocks) -> "Search":
-        """Return the search after the sum of squares at its trial states is known.
+        """Advance the search by one Levenberg-Marquardt step, given the sum of squares at its trial states.
 
-        Levenberg-Marquardt steps; each counts where it lowers the error of all segments that hold together.
+        A chain of linked segments accepts the trial where this lowers the sum of the chain.
         """
         chain = self._chain(data)
         better = _sum_by(chain, tried.square) < _sum_by(chain, search.local.square)
@@ -197,14 +197,14 @@ class Shooting(NamedTuple):
         return Search(state - step, state, local, damping, looks, other, gain, settled, ended)
 
     def local(self, errors: Float[Array, "branches segments terms"], slopes: Array) -> Local:
-        """Of a block's residuals and their derivative by its own states, (state, branches, segments, terms)."""
+        """Return the sum of squares of residuals with derivatives `slopes`, (state, branches, segments, terms)."""
         gradient = jnp.einsum("ibsk,bsk->bsi", slopes, errors, precision="highest")
         hessian = jnp.einsum("ibsk,jbsk->bsij", self.bent(errors) * slopes, slopes, precision="highest")
         gap_slopes = jnp.moveaxis(self.gap(slopes), 0, 2)
         return Local(jnp.square(errors).sum(axis=2), gradient, hessian, self.gap(errors), gap_slopes)
 
     def gap(self, terms: Float[Array, "*any terms"]) -> Float[Array, "*any state"]:
-        """Of residuals or their derivative the last, which are those of the gap, in the order of the states."""
+        """Return the last terms of residuals or their derivatives: the defects, in the order of the states."""
         size = len(self.sparsity.states)
         return jnp.swapaxes(terms[..., -size:].reshape(*terms.shape[:-1], size // 2, 2), -1, -2).reshape(
             *terms.shape[:-1], size
@@ -217,14 +217,15 @@ class Shooting(NamedTuple):
         Float[Array, "branches tangents tangents"],
         Float[Array, "branches segments state tangents"],
     ]:
-        """What the states take from each segment's gradient by the tangents, and from the second derivative.
+        """Eliminate the initial states from the normal equations (Schur complement).
 
-        The Schur complement of the states in the normal equations of states and coordinates. The third is the
-        derivative of the best states by each tangent.
+        Returns:
+            The amounts to subtract from each segment's gradient and from the Hessian over the tangents, and the
+            derivative of the best states with respect to each tangent.
         """
         diagonal, beside, gradient = self._join(local, data)
-        # A drive that forgets its velocity within a sample does not tell that from its position: the states' equations
-        # are then singular to rounding, and what they take is all rounding. So much more changes nothing else.
+        # Where velocity decays within a sample, initial velocity and position are indistinguishable: the equations are
+        # singular up to rounding, and the correction would be rounding error. This regularisation changes nothing else.
         identity = jnp.eye(diagonal.shape[-1], dtype=diagonal.dtype)
         diagonal = diagonal * (1 + float(jnp.finfo(diagonal.dtype).eps) ** (2 / 3) * identity)
         right = mixed.own
@@ -236,7 +237,7 @@ class Shooting(NamedTuple):
         return taken, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest"), -solved
 
     def _look(self, values: Values, state: Float[Array, "branches segments state"], data: Blocks) -> Local:
-        """Of all blocks."""
+        """Return the sum of squares of all blocks at these states."""
         whole = self.states_together(state, data)
         units = jnp.asarray(self.sparsity.states, whole.dtype)[:, None, :] * jnp.ones_like(whole[0, :, :1])
 
@@ -252,7 +253,7 @@ class Shooting(NamedTuple):
         return jax.tree.map(join_blocks, jax.lax.map(of_block, (data, whole, follow(whole))))
 
     def _join(self, local: Local, data: Blocks) -> tuple[Array, Array, Array]:
-        """Blocks on the diagonal of the states' equations, those right of them, and half the gradient."""
+        """Return the states' equations: diagonal blocks, the blocks right of them, and half the gradient."""
         if self.root is None:
             return local.hessian, local.gap_slopes, local.gradient
         before, root = self._before(data)[:, None], self._by_state(local.gradient.dtype)
@@ -272,32 +273,32 @@ class Shooting(NamedTuple):
         return self.sparsity.states_by_branch(jnp.asarray(np.broadcast_to(self.root, (nv, 2)).T.reshape(1, -1), dtype))
 
     def _before(self, data: Blocks) -> Float[Array, "segments"]:
-        """Whether each segment begins where the one before it ends."""
+        """Return 1 for each segment that begins where the one before it ends, else 0."""
         return jnp.roll(data.linked.ravel(), 1)
 
     def _chain(self, data: Blocks) -> Array:
-        """Number of the segments that hold together, for each one."""
+        """Return for each segment the number of its chain of linked segments."""
         apart = jnp.arange(data.weight.size)
         return apart if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
 
     def _unused(self, weight: Float[Array, "segments"]) -> Float[Array, "branches segments state state"]:
-        """What makes equations of initial states solvable that do not count."""
+        """Return the diagonal that makes the equations of unused states and segments of weight 0 solvable."""
         identity = jnp.eye(len(self.sparsity.states)) * (1 - weight[:, None, None])
         return self.sparsity.unit_states(weight.dtype)[:, None] + identity
 
 
 def follow(states: Float[Array, "blocks segments state"]) -> Float[Array, "blocks segments state"]:
-    """The state at which the next segment begins; of the last, that of the first, which does not count."""
+    """Return the initial state of each next segment; the last gets the first one's, which has no weight."""
     return jnp.roll(states.reshape(-1, states.shape[2]), -1, axis=0).reshape(states.shape)
 
 
 def join_blocks(parts: Float[Array, "blocks branches segments *shape"]) -> Float[Array, "branches all *shape"]:
-    """Segments of all blocks, one after the other."""
+    """Concatenate the segments of all blocks."""
     return jnp.moveaxis(parts, 0, 1).reshape(parts.shape[1], -1, *parts.shape[3:])
 
 
 def join_equations(parts: Sequence[Equations]) -> Equations:
-    """Of all blocks, in numpy."""
+    """Join the equations of all blocks, in numpy."""
     loss, hessian = (sum(getattr(part, name) for part in parts) for name in ("loss", "hessian"))
     by_segment = [part._replace(loss=(), hessian=()) for part in parts]
     joined = jax.tree.map(lambda *own: np.concatenate(own, axis=1), *by_segment)
@@ -305,7 +306,7 @@ def join_equations(parts: Sequence[Equations]) -> Equations:
 
 
 def _sum_by(chain: Array, squares: Float[Array, "branches segments"]) -> Float[Array, "branches segments"]:
-    """Sum over all segments that hold together, for each one."""
+    """Return for each segment the sum over its chain."""
     return jnp.zeros_like(squares).at[:, chain].add(squares)[:, chain]
 
 
@@ -314,13 +315,11 @@ def solve_chain(
     beside: Float[Array, "segments state state"],
     right: Float[Array, "segments state many"],
 ) -> Float[Array, "segments state many"]:
-    """Solution of symmetric positive definite equations of states each of which knows its neighbours alone.
-
-    Block by block, as for a matrix with three diagonals: one pass ahead, one back.
+    """Solve a symmetric positive definite block-tridiagonal system, by one forward and one backward pass.
 
     Args:
-        diagonal: Blocks on the diagonal.
-        beside: Those right of them; the last does not count.
+        diagonal: Diagonal blocks.
+        beside: Blocks right of them; the last one is ignored.
         right: Right-hand sides.
     """
 

@@ -1,4 +1,4 @@
-"""What a fit moves: coordinates, and the physical values that they stand for."""
+"""Scaled coordinates of the optimiser, and their physical values."""
 
 import copy
 from collections.abc import Iterable, Mapping
@@ -18,14 +18,14 @@ from frictionzoo.simulate.bridge import to_jax
 
 
 class Place(NamedTuple):
-    """Where the coordinates of a physical parameter are among the joints.
+    """Relation between the joints and the coordinates of a physical parameter.
 
     Attributes:
         members: Index of each joint that has the parameter.
-        joints: Of these, the index of each one whose value is identified.
-        group: Number of that joint's coordinate, among the parameter's own; joints that share a value have the same.
+        joints: Index of each joint whose value is identified.
+        group: For each of `joints`, the number of its coordinate; joints that share a value have the same.
         first: Index of the first joint of each coordinate.
-        names: Of each coordinate: the joint's name, or that of the joints that share it.
+        names: Name of each coordinate: the joint's, or the shared name of its joints.
     """
 
     members: Int[np.ndarray, "members"]
@@ -35,35 +35,36 @@ class Place(NamedTuple):
     names: tuple[str, ...]
 
     def among_members(self, joints: Int[np.ndarray, "_"]) -> Int[np.ndarray, "_"]:
-        """Where these joints are in an array of the values of all members."""
+        """Return the positions of these joints in an array with one value per member."""
         return np.searchsorted(self.members, joints)
 
 
 class Space:
-    """The coordinates that an optimiser moves, and the physical values that they stand for.
+    """Bounded, scaled coordinates of the optimiser, and their map to physical values.
 
-    A parameter's coordinate is its logarithm or its value over its scale, as its `Param` says, one a joint, or one for
-    all joints that share a value; a network's weights are their own coordinates. Known values have none.
+    A parameter's coordinate is its logarithm or its value over its scale, as its `Param` defines. There is one per
+    joint, or one for all joints that share a value. A network's weights are their own coordinates; known values have
+    none.
 
     Attributes:
         bench: The test stand.
-        params: The physical parameters that are identified in any joint, by their full name, `bench.armature`.
-        places: Where their coordinates are among the joints, by the same names.
-        names: All that is identified, physical parameters first, then a network's weights.
-        weights: The network's weights among them.
-        labels: Name of each coordinate of a physical parameter: its full name, which of several joints that do not all
-            share it is followed by `/` and the joint's name, or that of the joints that share it.
+        params: The physical parameters identified in any joint, by full name such as `bench.armature`.
+        places: Relation of their coordinates to the joints, by the same names.
+        names: Names of everything identified: physical parameters, then a network's weights.
+        weights: Names of the network's weights.
+        labels: Name of each coordinate of a physical parameter: its full name, followed by `/` and the name of its
+            joint or group of joints unless all joints share it.
         start: Coordinates of the initial values, as one vector.
         low: Lower bound of each coordinate; minus infinity where there is none.
-        high: Upper bound of each coordinate.
+        high: Upper bound of each coordinate; infinity where there is none.
 
     Args:
-        bench: Its parameters come first.
+        bench: The test stand; its parameters come first.
         model: The friction model; its present values are the initial ones.
         dtype: JAX type of the coordinates.
 
     Raises:
-        ConfigError: Joints that share a value differ in their initial value, bounds, or in whether it is identified.
+        ConfigError: Joints that share a value differ in its initial value, its bounds, or in whether it is identified.
     """
 
     def __init__(self, bench: Bench, model: FrictionModel, dtype: Any) -> None:
@@ -88,18 +89,18 @@ class Space:
             for own in range(len(place.names))
         ]
         start, self._unravel = ravel_pytree(coordinates)
-        self.start: Array = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
+        self.start: Array = jnp.asarray(start, dtype)  # without coordinates, ravel_pytree returns float32
         self.low: Array = ravel_pytree(self._bounds(coordinates, "low"))[0]
         self.high: Array = ravel_pytree(self._bounds(coordinates, "high"))[0]
 
     def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Space":
-        """The same space with other initial coordinates, brought into the bounds."""
+        """Return this space with other initial coordinates, clipped to the bounds."""
         other = copy.copy(self)
         other.start = jnp.clip(jnp.asarray(vector, self.start.dtype), self.low, self.high)
         return other
 
     def values(self, vector: Float[Array, "coordinates"]) -> Values:
-        """Physical values of all parameters, identified and known, by owner and name."""
+        """Return the physical values of all parameters, identified and known, by owner and name."""
         values = {owner: dict(named) for owner, named in self._values.items()}
         for name, coordinate in self._split(vector):
             owner, _, key = name.partition(".")
@@ -107,7 +108,7 @@ class Space:
         return values
 
     def identified(self, vector: Float[Array, "coordinates"]) -> dict[str, Float[Array, "nv"]]:
-        """Physical values of the identified parameters by full name; a network's weights are left out.
+        """Return the physical values of the identified parameters by full name, without a network's weights.
 
         NaN where a joint does not have the parameter.
         """
@@ -119,30 +120,33 @@ class Space:
         return found
 
     def pick(self, rows: Mapping[str, Shaped[np.ndarray, "nv ..."]]) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Of arrays with a row a joint, by full name, the row of each coordinate, by its label; others are left out."""
+        """Return from arrays with one row per joint, by full name, the row of each coordinate, by its label.
+
+        Coordinates without an array are left out.
+        """
         found = [(name, joint) for name, place in self.places.items() for joint in place.first.tolist()]
         return {
             label: rows[name][joint] for label, (name, joint) in zip(self.labels, found, strict=True) if name in rows
         }
 
     def split(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "own ..."]]:
-        """Entries of an array with one row a coordinate, by the full name of the physical parameter they belong to."""
+        """Split an array with one row per coordinate by physical parameter, by full name."""
         ends = np.cumsum([len(place.first) for place in self.places.values()])
         return dict(zip(self.params, np.split(np.asarray(vector), ends), strict=False))
 
     def spread(
         self, name: str, rows: Shaped[np.ndarray, "own ..."], known: float | bool = np.nan
     ) -> Shaped[np.ndarray, "nv ..."]:
-        """The rows of a physical parameter's coordinates as rows of the joints; `known` where a joint's is not free."""
+        """Return the rows of a parameter's coordinates as rows of the joints; `known` where it is not identified."""
         place = self.places[name]
         spread = np.full((self._nv, *rows.shape[1:]), known, rows.dtype)
         spread[place.joints] = rows[place.group]
         return spread
 
     def physical(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "nv ..."]]:
-        """Physical values by full name, in float64, of an array with one row a coordinate; NaN where a value is known.
+        """Return physical values by full name, in float64, of an array with one row per coordinate; NaN where known.
 
-        They are brought back into the bounds: the logarithm of a bound and back is the bound but for rounding.
+        They are clipped to the bounds, because the exponential of a bound's logarithm can round beyond the bound.
         """
         found = {}
         for name, rows in self.split(np.asarray(vector, np.float64)).items():
@@ -153,7 +157,7 @@ class Space:
         return found
 
     def limits(self) -> dict[str, str]:
-        """Unit and bounds of each physical parameter in words, of joints with others the widest, by its full name."""
+        """Return unit and bounds of each physical parameter in words, by full name; the widest bounds of all joints."""
         said = {}
         for name, param in self.params.items():
             joints = self.places[name].joints
@@ -163,7 +167,7 @@ class Space:
         return said
 
     def at_bound(self, vector: Float[np.ndarray, "coordinates"]) -> Bool[np.ndarray, "own"]:
-        """Whether the value of each coordinate of a physical parameter has reached a bound."""
+        """Return whether each coordinate of a physical parameter has reached a bound."""
         reached = [np.zeros(0, bool)]
         for name, value in self.physical(vector).items():
             known = self.params[name].each("init", self._nv)
@@ -172,14 +176,14 @@ class Space:
         return np.concatenate(reached)
 
     def first_nonfinite(self, vector: Float[np.ndarray, "coordinates"]) -> str | None:
-        """Name of the first parameter whose entry in this vector (a gradient, say) is not finite."""
+        """Return the name of the first parameter with a non-finite entry in this vector, such as a gradient."""
         for name, entries in self._split(jnp.asarray(vector)):
             if not np.isfinite(entries).all():
                 return name
         return None
 
     def farthest(self, vector: Float[np.ndarray, "coordinates"], origin: Float[np.ndarray, "coordinates"]) -> str:
-        """Name of the parameter whose coordinate in `vector` is farthest from that in `origin`."""
+        """Return the name of the parameter whose coordinate moved farthest from `origin` to `vector`."""
         distances = self._split(jnp.nan_to_num(jnp.abs(jnp.asarray(vector) - jnp.asarray(origin)), nan=jnp.inf))
         return max(distances, key=lambda named: float(named[1].max()))[0]
 
@@ -207,7 +211,7 @@ class Space:
         return self.params[name].to_coordinate(value[place.among_members(place.first)], jnp)
 
     def _from_coordinate(self, name: str, coordinate: Array) -> Array:
-        """The values of all joints that have it: identified ones from their coordinates, the others as they are."""
+        """Return a parameter's values in all its joints: identified ones from coordinates, known ones unchanged."""
         if name not in self.params:
             return coordinate
         place, value = self.places[name], self.params[name].from_coordinate(coordinate, jnp)

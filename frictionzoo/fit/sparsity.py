@@ -1,7 +1,7 @@
-"""Which coordinates act on which branches of a robot, and derivatives that are taken only there.
+"""Sparse derivatives of robots with branches.
 
-A coordinate of one leg does not move the others. Coordinates of different legs therefore share one tangent: each
-leg reads its own from it. A quadruped costs as many tangents as one leg.
+A coordinate of one leg does not move the other legs. Coordinates of different legs therefore share one tangent. A
+quadruped needs as many tangents as one leg.
 
 Source: A. Curtis, M. Powell, J. Reid, "On the Estimation of Sparse Jacobian Matrices", 1974.
 """
@@ -18,14 +18,14 @@ from frictionzoo.fit.space import Space
 
 
 class Sparsity(NamedTuple):
-    """The branches of a robot as derivatives see them; one for all where there are no others.
+    """Branches of a robot and the tangents that they share; a robot without branches counts as one branch.
 
     Attributes:
         joints: Index of each joint of a branch; shorter branches repeat a joint, and `mine` is 0 there.
         mine: 1; 0 where `joints` only fills the row.
-        seeds: Tangents in which all coordinates are: each moves one coordinate of a branch at most.
-        place: Coordinate that a tangent moves in a branch; the number of coordinates where it moves none.
-        states: Tangents of the initial states, positions first, of all branches at once.
+        seeds: Tangents that cover all coordinates; each moves at most one coordinate of a branch.
+        place: Coordinate that a tangent moves in a branch; the number of coordinates if it moves none.
+        states: Tangents of the initial states, positions first, for all branches at once.
     """
 
     joints: Int[np.ndarray, "branches joints"]
@@ -36,7 +36,7 @@ class Sparsity(NamedTuple):
 
     @classmethod
     def of(cls, space: Space, branches: Sequence[int]) -> "Sparsity":
-        """Of these coordinates, and the number of the branch of each joint."""
+        """Return the sparsity of these coordinates, given the branch number of each joint."""
         count, own = max(branches) + 1, np.asarray(branches)
         members = [np.flatnonzero(own == number) for number in range(count)]
         most = max(map(len, members))
@@ -55,44 +55,44 @@ class Sparsity(NamedTuple):
         return cls(joints, mine, seeds, place, np.kron(np.eye(2), halves))
 
     def by_branch(self, errors: Float[Array, "segments time nv kinds"]) -> Float[Array, "branches segments terms"]:
-        """What the joints of each branch contribute."""
+        """Return the errors of each branch's joints; 0 where a row is only filled."""
         if len(self.joints) == 1:
             return errors.reshape(1, len(errors), -1)
         own = jnp.moveaxis(errors[:, :, self.joints] * jnp.asarray(self.mine, errors.dtype)[..., None], 2, 0)
         return own.reshape(*own.shape[:2], -1)
 
     def states_by_branch(self, state: Float[Array, "segments twice_nv"]) -> Float[Array, "branches segments state"]:
-        """Position and velocity of each branch; 0 where a row is only filled."""
+        """Return position and velocity of each branch; 0 where a row is only filled."""
         halves = jnp.split(state, 2, axis=1)
         own = [jnp.swapaxes(half[:, self.joints] * jnp.asarray(self.mine, state.dtype), 0, 1) for half in halves]
         return jnp.concatenate(own, axis=2)
 
     def states_together(self, own: Float[Array, "branches segments state"]) -> Float[Array, "segments twice_nv"]:
-        """The way back."""
+        """Return states by branch in the order of the joints."""
         nv = self.states.shape[1] // 2
         halves = [jnp.swapaxes(half, 0, 1) * jnp.asarray(self.mine, own.dtype) for half in jnp.split(own, 2, axis=2)]
         empty = jnp.zeros((own.shape[1], nv), own.dtype)
         return jnp.concatenate([empty.at[:, self.joints].add(half) for half in halves], axis=1)
 
     def gradient(self, own: Float[Array, "branches segments tangents"]) -> Float[Array, "segments coordinates"]:
-        """What the branches say of their tangents, as a row of all coordinates a segment."""
+        """Convert the gradient from tangents by branch to all coordinates, one row per segment."""
         count = self.seeds.shape[1]
         whole = jnp.zeros((own.shape[1], count + 1), own.dtype)
         return whole.at[:, self.place].add(jnp.swapaxes(own, 0, 1))[:, :count]
 
     def hessian(self, own: Float[Array, "branches tangents tangents"]) -> Float[Array, "coordinates coordinates"]:
-        """The same of pairs of tangents."""
+        """Convert the Hessian from tangents by branch to all coordinates."""
         count = self.seeds.shape[1]
         whole = jnp.zeros((count + 1, count + 1), own.dtype)
         return whole.at[self.place[:, :, None], self.place[:, None, :]].add(own)[:count, :count]
 
     def unit_states(self, dtype: Any) -> Float[Array, "branches state state"]:
-        """1 on the diagonal of each entry of a branch's state that only fills its row."""
+        """Return matrices with 1 on the diagonal where an entry of a branch's state only fills its row."""
         return jax.vmap(jnp.diag)(jnp.asarray(1 - np.tile(self.mine, 2), dtype))
 
 
 def _list_branches(space: Space, own: Int[np.ndarray, "nv"]) -> list[set[int]]:
-    """Branches on which each coordinate acts; a network's weights act on all."""
+    """Return the branches on which each coordinate acts; a network's weights act on all."""
     acts = [
         set(own[place.joints[place.group == number]].tolist())
         for place in space.places.values()
@@ -103,7 +103,7 @@ def _list_branches(space: Space, own: Int[np.ndarray, "nv"]) -> list[set[int]]:
 
 
 def _color(acts: Sequence[set[int]]) -> list[int]:
-    """Number of the tangent of each coordinate; of those that act on one branch together, each has another."""
+    """Return the tangent number of each coordinate; coordinates that act on the same branch get different ones."""
     colors, taken = [0] * len(acts), []
     for coordinate in sorted(range(len(acts)), key=lambda one: -len(acts[one])):
         color = next((number for number, used in enumerate(taken) if not used & acts[coordinate]), len(taken))

@@ -1,4 +1,4 @@
-"""Where a fit begins: at the initial values, or where another method ends."""
+"""Warm start of a fit at another method's result."""
 
 import logging
 
@@ -13,11 +13,11 @@ _log = logging.getLogger(__name__)
 
 
 def begin_where(start: Fit, objective: Objective) -> Objective:
-    """The objective with the best vector of a method as its initial one, brought into the bounds.
+    """Return the objective with a method's best vector as initial coordinates, clipped to the bounds.
 
     Raises:
         ConfigError: The method cannot search this space.
-        FitError: It finds no finite vector.
+        FitError: The method diverges or finds no finite vector.
     """
     start = start.choose(objective)
     progress, _ = search(start, objective)

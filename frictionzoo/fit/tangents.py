@@ -1,4 +1,4 @@
-"""Derivatives of residuals by coordinates and initial states, as tangents that are taken side by side."""
+"""Derivatives of residuals with respect to coordinates and initial states, as batched tangents."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,11 +11,11 @@ from frictionzoo.fit.sparsity import Sparsity
 
 
 class Seen(NamedTuple):
-    """Residuals at one vector, and what their derivative is made of.
+    """Residuals at one vector, and their linearisation.
 
     Attributes:
-        residuals: By branch.
-        along: A linear function of directions, with the numbers that it needs; or the slopes themselves.
+        residuals: Residuals by branch.
+        along: Linear function of directions with its stored numbers, or the derivatives themselves.
     """
 
     residuals: Float[Array, "branches segments terms"]
@@ -23,16 +23,16 @@ class Seen(NamedTuple):
 
 
 class Tangents(NamedTuple):
-    """The directions in which residuals are differentiated: coordinates, and initial states that are estimated along.
+    """Directions in which residuals are differentiated: coordinates, and estimated initial states.
 
-    Where the derivative of a step is made of few numbers, a rollout keeps them, and all tangents follow from these in
-    a program of their own. That is faster twice: the rollout is compiled without fusion, which its many shared terms
-    need, and the tangents, which share next to nothing, with it.
+    Where the derivative of a step consists of few numbers, the rollout stores them, and a second program computes all
+    tangents from them. This is faster for two reasons: the rollout, with many shared terms, compiles without fusion,
+    and the tangents, which share almost none, compile with it.
 
     Attributes:
         sparsity: Branches of the robot.
-        refine: Whether initial states are among them.
-        apart: Whether a rollout keeps what its derivative is made of.
+        refine: Whether initial states are estimated.
+        apart: Whether the rollout stores the numbers of its derivative.
     """
 
     sparsity: Sparsity
@@ -40,12 +40,12 @@ class Tangents(NamedTuple):
     apart: bool
 
     def look(self, residuals: Callable[..., Array], vector: Array, own: Float[Array, "segments twice_nv"]) -> Seen:
-        """The first program: a rollout.
+        """Return residuals and their linearisation; the first program, with the rollout.
 
         Args:
-            residuals: Of a vector and initial states.
-            vector: Where.
-            own: Initial states.
+            residuals: Function of a vector and initial states that returns residuals.
+            vector: The vector.
+            own: The initial states.
         """
         given = (vector, own) if self.refine else (vector,)
         function = residuals if self.refine else lambda vector: residuals(vector, own)
@@ -57,7 +57,7 @@ class Tangents(NamedTuple):
     def slopes(
         self, seen: Seen
     ) -> tuple[Float[Array, "tangents branches segments terms"], Float[Array, "state branches segments terms"]]:
-        """The second: derivatives by the coordinates' tangents, and by a segment's own initial state."""
+        """Return derivatives by the coordinates' tangents and by initial states; the second program."""
         found = seen.along
         if self.apart:
             found = jax.vmap(found)(*self._directions(seen.residuals.dtype, seen.residuals.shape[1]))

@@ -1,4 +1,4 @@
-"""Gravity found along: how far the base of a robot stands askew, which its model file cannot know."""
+"""Direction of gravity in the frame of a tilted base, identified together with the drives' parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ from frictionzoo.fit.torque_balance import Balance, Box, Links
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 STEEPEST = 0.2
-"""Largest share of gravity that may lie along each of two directions across where the model file has it."""
+"""Largest share of gravity along each of the two directions perpendicular to the model file's gravity."""
 AXES = "xyz"
 
 
 @dataclass(frozen=True)
 class Tilt:
-    """Gravity of a base that stands askew.
+    """Gravity in the frame of a tilted base.
 
     Attributes:
-        maker: Gravity as the model file has it [m/s^2].
-        across: Two directions across that, of length 1.
-        leaning: Share of gravity that lies along each.
-        errors: Standard error of each.
+        maker: Gravity in the model file [m/s^2].
+        across: Two unit vectors perpendicular to it.
+        leaning: Share of gravity along each of them.
+        errors: Standard error of each share.
     """
 
     maker: Float[np.ndarray, "3"]
@@ -34,10 +34,10 @@ class Tilt:
 
     @classmethod
     def upright(cls, gravity: Float[np.ndarray, "3"]) -> "Tilt":
-        """None yet.
+        """Return a tilt of 0, with infinite standard errors.
 
         Raises:
-            ConfigError: There is no gravity.
+            ConfigError: The bench has no gravity.
         """
         if not gravity.any():
             raise ConfigError("fit.tilt=true: there is no gravity on this bench; set fit.tilt=false")
@@ -51,17 +51,17 @@ class Tilt:
 
     @property
     def gravity(self) -> Float[np.ndarray, "3"]:
-        """As it is in the frame of the base, as strong as the file has it [m/s^2]."""
+        """Gravity in the frame of the base, with the model file's magnitude [m/s^2]."""
         upright = np.sqrt(1 - self.leaning @ self.leaning)
         return upright * self.maker + np.linalg.norm(self.maker) * self.leaning @ self.across
 
     @property
     def angle(self) -> float:
-        """Between the two [rad]."""
+        """Angle between identified gravity and the model file's [rad]."""
         return float(np.arcsin(np.linalg.norm(self.leaning)))
 
     def say(self) -> str:
-        """Angle, with its standard error, and gravity in words."""
+        """Return the angle with its standard error, and gravity, in words."""
         numbers = ", ".join(f"{number:.4g}" for number in self.gravity)
         error = np.degrees(self.errors.max())
         return (
@@ -72,12 +72,12 @@ class Tilt:
 
 @dataclass(frozen=True)
 class Tilted:
-    """A torque equation with two more coordinates, the leaning of a `Tilt`, linear about that of the equation's bench.
+    """Torque equation with the leaning of a `Tilt` as two more coordinates, linearised at the bench's tilt.
 
     Attributes:
-        equation: On a bench with the tilt's gravity.
-        at: That tilt.
-        columns: Torque that links need for each unit of leaning.
+        equation: The torque equation of a bench with the gravity of the tilt `at`.
+        at: The tilt at which it is linearised.
+        columns: Torque that the links need per unit of leaning.
     """
 
     equation: TorqueEquation
@@ -86,7 +86,7 @@ class Tilted:
 
     @classmethod
     def about(cls, equation: TorqueEquation, at: Tilt, bench: Bench) -> "Tilted":
-        """With the weight that the links of a bench have."""
+        """Linearise an equation at a tilt, with the link weights of `bench`."""
         strength, upright = np.linalg.norm(at.maker), np.sqrt(1 - at.leaning @ at.leaning)
         slopes = strength * at.across - np.outer(at.leaning, at.maker) / upright
         return cls(equation, at, equation.weight(bench) @ slopes.T)
@@ -104,7 +104,7 @@ class Tilted:
 
     @property
     def box(self) -> Box:
-        """Where the coordinates start, and their bounds."""
+        """Initial coordinates and bounds."""
         more = self.at.leaning, np.full(2, -STEEPEST), np.full(2, STEEPEST)
         return Box(*(np.append(side, own) for side, own in zip(self.equation.box, more, strict=True)))
 
@@ -121,9 +121,9 @@ class Tilted:
         return self.equation.links(bodies, spread)
 
     def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-        """Physical value of each coordinate, of gravity in m/s^2."""
+        """Return the physical value of each coordinate; gravity in m/s^2."""
         return np.append(self.equation.physical(vector[:-2]), np.linalg.norm(self.at.maker) * vector[-2:])
 
     def tilt(self, found: Balance) -> Tilt:
-        """The tilt that was found."""
+        """Return the tilt that the least squares found."""
         return Tilt(self.at.maker, self.at.across, found.vector[-2:], found.errors[-2:])

@@ -1,6 +1,6 @@
-"""Weighted least squares on torque: the numbers that let inverse dynamics balance what was measured.
+"""Weighted least squares on torque: parameters for which inverse dynamics matches the measured torque.
 
-Functions of arrays and of callables; what the coordinates mean is the caller's.
+The functions work on arrays and callables; the caller gives the coordinates a meaning.
 """
 
 from collections.abc import Callable
@@ -19,22 +19,22 @@ Lack = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv"]
 Slope = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv coordinates"]]
 
 _PASSES = 50  # rounds of weights; five are usual
-_SETTLED = 1e-3  # relative change of the weights below which they count as found
-_STEPS = 10  # with the same weights: they are not those of the end yet
-_STIFFEST = 1e6  # damping with which no step lowers the loss any more but by rounding
-_HALVINGS = 6  # of a step that does not lower the loss
-_BEND = 1e-5  # step of the difference in coordinates
-_TOLERANCE = 1e-7  # share of the loss that a step has to promise: a hundredth of a standard error
+_SETTLED = 1e-3  # relative change of the weights below which they have converged
+_STEPS = 10  # steps with the same weights; few, because the weights still change
+_STIFFEST = 1e6  # damping above which only rounding could lower the loss
+_HALVINGS = 6  # step lengths tried, each half of the one before
+_BEND = 1e-5  # step of the finite difference in coordinates
+_TOLERANCE = 1e-7  # least predicted decrease, as a share of the loss: a hundredth of a standard error
 
 
 @dataclass(frozen=True)
 class Links:
-    """Bodies whose inertia is identified along.
+    """Bodies whose inertia is identified together with the drives' parameters.
 
     Attributes:
-        regressor: Torque for each unit of each of their parameters, filtered and decimated.
-        around: Their coordinates.
-        spread: Standard deviation of each coordinate's prior, whose mean is 0, the maker's value.
+        regressor: Torque per unit of each inertial parameter, filtered and decimated.
+        around: Coordinates of the bodies; all are 0 for the model file's inertia.
+        spread: Standard deviation of each coordinate's prior, whose mean is 0.
     """
 
     regressor: Float[np.ndarray, "rows nv bodies 10"]
@@ -42,21 +42,22 @@ class Links:
     spread: Float[np.ndarray, "bodies 10"]
 
     def torque(self, parameters: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "rows nv"]:
-        """What bodies with these parameters need above what the maker's need."""
+        """Return the torque that bodies with these parameters need beyond the model file's bodies."""
         return np.einsum("rvbk,bk->rv", self.regressor, parameters - self.maker)
 
     @cached_property
     def maker(self) -> Float[np.ndarray, "bodies 10"]:
-        """Parameters of the maker's bodies."""
+        """Parameters of the bodies in the model file."""
         return self.around.parameters(np.zeros_like(self.spread))
 
     def prior(
         self, parameters: Float[np.ndarray, "bodies 10"]
     ) -> tuple[float, Float[np.ndarray, "bodies 10"], Float[np.ndarray, "2 bodies 10 10"]]:
-        """Of the prior at these parameters its loss, half its gradient, and half its second derivative, twice.
+        """Return the prior's loss, half its gradient, and half its second derivative in two versions.
 
-        First as Gauss and Newton have it, then whole but for negative curvature: towards a body without extent the
-        logarithms bend, and without that steps would leave what bodies there are.
+        The first is the Gauss-Newton approximation. The second is complete except for negative curvature: the
+        logarithmic coordinates bend towards a body without extent, and Gauss-Newton steps would leave the set of
+        physically consistent bodies.
         """
         at = self.around.coordinates(parameters)
         by_parameters = np.linalg.inv(self.around.slopes(at))
@@ -69,16 +70,16 @@ class Links:
         return self.far(parameters), self._pull(at), np.stack([gauss, whole])
 
     def far(self, parameters: Float[np.ndarray, "bodies 10"]) -> float:
-        """The prior's loss."""
+        """Return the prior's loss."""
         return float(np.square(self.around.coordinates(parameters) / self.spread).sum())
 
     def _pull(self, at: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10"]:
-        """Half the prior's gradient by the parameters, at coordinates."""
+        """Return half the prior's gradient with respect to the parameters, at these coordinates."""
         return np.linalg.solve(self.around.slopes(at).swapaxes(1, 2), (at / self.spread**2)[..., None])[..., 0]
 
 
 class Box(NamedTuple):
-    """Where coordinates start, and their bounds, each of shape (coordinates,)."""
+    """Initial coordinates and their bounds, each of shape (coordinates,)."""
 
     start: Float[np.ndarray, "coordinates"]
     low: Float[np.ndarray, "coordinates"]
@@ -87,15 +88,15 @@ class Box(NamedTuple):
 
 @dataclass(frozen=True)
 class Balance:
-    """What weighted least squares found.
+    """Result of the weighted least squares.
 
     Attributes:
         vector: The coordinates.
-        bodies: Parameters of the bodies, of shape (bodies, 10); no row without `Links`.
-        residual: Torque that is left, at all samples, moving or not [N m or N].
-        sigma: Standard deviation of each joint's residual where it moves, by which it was weighted.
+        bodies: Inertial parameters of the bodies, of shape (bodies, 10); no row without `Links`.
+        residual: Residual torque at all samples, moving or not [N m or N].
+        sigma: Standard deviation of each joint's residual torque where it moves, used as weight [N m or N].
         information: J' J of the weighted measurements, over `vector` and then the parameters, body after body.
-        prior: What the prior adds to it.
+        prior: The prior's contribution to it.
     """
 
     vector: Float[np.ndarray, "coordinates"]
@@ -107,17 +108,17 @@ class Balance:
 
     @property
     def covariance(self) -> Float[np.ndarray, "all all"]:
-        """Of `vector` and then the parameters; infinite on the diagonal where nothing determines one."""
+        """Covariance of `vector` and then the parameters; infinite variance for an undetermined number."""
         return invert(self.information + self.prior)
 
     @property
     def errors(self) -> Float[np.ndarray, "coordinates"]:
-        """Standard error of each of `vector`."""
+        """Standard error of each entry of `vector`."""
         return np.sqrt(np.diag(self.covariance))[: len(self.vector)]
 
 
 def invert(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Covariance of a positive semidefinite information matrix; infinite variances where it has none."""
+    """Return the covariance of a positive semidefinite information matrix; infinite variance where undetermined."""
     scale = np.sqrt(np.diag(information))
     seen = scale > 0
     scale = np.where(seen, scale, 1.0)
@@ -136,23 +137,23 @@ def balance(
     moving: Bool[np.ndarray, "rows nv"],
     links: Links | None = None,
 ) -> Balance:
-    """Coordinates with the least weighted torque left over, joint by joint weighted by what is left there.
+    """Minimise the residual torque, with each joint weighted by the inverse deviation of its residual.
 
-    Weights are found in turns: least squares with the residuals' deviations of the turn before, until they stay. Of
-    laws that are linear in their coordinates this is the inverse dynamics identification model (IDIM-LS) with weights;
-    others take a few steps of Gauss and Newton in each turn.
+    Least squares repeats with the deviations of the previous residuals until the weights converge. For models that are
+    linear in their coordinates this is the inverse dynamics identification model (IDIM-LS) with weights; others take a
+    few Gauss-Newton steps in each round.
 
     Source: M. Gautier, "Dynamic identification of robots with power model", 1997; M. Gautier, P. Poignet, "Extended
     Kalman filtering and weighted least squares dynamic identification of robot", 2001, for the weights; T. Lee, P.
     Wensing, F. Park, "Geometric robot dynamic identification: a convex programming approach", 2020, for a prior around
-    the maker's bodies.
+    the model file's bodies.
 
     Args:
-        lack: Motor torque less what the drive's other parts need, with the maker's bodies, filtered and decimated.
-        slope: Its derivative.
-        box: Where to start, and bounds.
+        lack: Residual torque with the model file's bodies, filtered and decimated.
+        slope: Derivative of `lack`.
+        box: Starting point and bounds.
         moving: Which samples count, joint by joint.
-        links: Bodies that are identified along.
+        links: Bodies whose inertia is identified too.
     """
     equation = _Equation(lack, slope, links, moving, box)
     at = equation.start
@@ -169,10 +170,10 @@ def balance(
 
 @dataclass(frozen=True)
 class _Equation:
-    """What is left of the torque as a function of all numbers, the vector's and then the bodies' parameters.
+    """Residual torque as a function of all unknowns: the vector, then the bodies' inertial parameters.
 
-    Of the bodies, not their coordinates: the torque is linear in the parameters. In coordinates the valley of nearly
-    equal torques is narrow and bent, and a search takes thousands of steps along it.
+    The torque is linear in the inertial parameters. In the bodies' coordinates the valley of nearly equal torques is
+    narrow and curved, and a search needs thousands of steps.
     """
 
     lack: Lack
@@ -199,14 +200,14 @@ class _Equation:
         return self.lack(vector) if self.links is None else self.lack(vector) - self.links.torque(bodies)
 
     def loss(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> float:
-        """Infinite where no body has these parameters."""
+        """Return the loss; infinite where the parameters are not physically consistent."""
         if not is_consistent(self.split(at)[1]).all():
             return np.inf
         weighted = (self.left(at) / sigma)[self.moving]
         return float(weighted @ weighted) + (0.0 if self.links is None else self.links.far(self.split(at)[1]))
 
     def measured(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> NormalEquations:
-        """The part of the weighted measurements."""
+        """Return the normal equations of the weighted measurements."""
         slopes = self.slope(self.split(at)[0])
         if self.links is not None:
             slopes = np.concatenate([slopes, -self.links.regressor.reshape(*slopes.shape[:2], -1)], axis=-1)
@@ -214,7 +215,7 @@ class _Equation:
         return NormalEquations(float(rest @ rest), rows.T @ rest, rows.T @ rows)
 
     def prior(self, at: Float[np.ndarray, "all"], whole: bool) -> NormalEquations:
-        """The part of the prior, with its whole second derivative or that of Gauss and Newton."""
+        """Return the normal equations of the prior, with its whole second derivative or the Gauss-Newton one."""
         gradient, hessian, loss = np.zeros(len(at)), np.zeros((len(at), len(at))), 0.0
         if self.links is not None:
             vector, bodies = self.split(at)
@@ -227,7 +228,7 @@ class _Equation:
 def _descend(
     equation: _Equation, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]
 ) -> tuple[Float[np.ndarray, "all"], bool]:
-    """Steps of Gauss, Newton, Levenberg and Marquardt within bounds, and whether they came to the least loss."""
+    """Take Levenberg-Marquardt steps within bounds; also return whether they reached the minimum."""
     loss, damping = equation.loss(at, sigma), 0.0
     for _ in range(_STEPS):
         parts = equation.measured(at, sigma), equation.prior(at, whole=True)
@@ -251,7 +252,7 @@ def _descend(
 def _deviation(
     residual: Float[np.ndarray, "rows nv"], moving: Bool[np.ndarray, "rows nv"], used: float
 ) -> Float[np.ndarray, "nv"]:
-    """Of each joint's residual, with so many degrees of freedom used up in it."""
+    """Return the standard deviation of each joint's residual, less `used` degrees of freedom."""
     squares = np.where(moving, np.square(residual), 0).sum(axis=0)
     deviation = np.sqrt(squares / np.maximum(moving.sum(axis=0) - used, 1))
     return np.maximum(deviation, 1e-9 * max(float(deviation.max()), 1e-300))

@@ -1,4 +1,4 @@
-"""What torque recordings leave unexplained, as a function of the coordinates that a fit moves."""
+"""Residual torque of recordings, as a function of a fit's coordinates."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -26,39 +26,39 @@ from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import looks_at_one_joint
 
 COUPLED = 0.5
-"""Share of the torque that is left which goes with another joint's motion, from which on a gear may couple the two."""
-LITTLE = 0.02  # share of the drives' torque; less of it is left where nothing is wrong
-_STEP = 1e-5  # rad or m, of the difference in the position offset
+"""Share of the residual torque explained by another joint's motion above which a gear may couple the two joints."""
+LITTLE = 0.02  # residual torque as a share of the drives' torque below which it is not examined
+_STEP = 1e-5  # rad or m, step of the finite difference in the position offset
 
 
 class TorqueEquation:
-    """The torque of the drives less what armature, friction and the links need for a recorded motion.
+    """Residual torque: drive torque minus the torque that armature, friction and links need for the recorded motion.
 
         lack = motor(q, v, ctrl) - friction(q, v, ...) - armature a - inverse dynamics(q, v, a)
 
-    with positions q of the recordings, smoothed, and their derivatives v and a. Commands act late, as in a simulation.
-    A law with a memory counts by what it comes down to at constant velocity.
+    q are the smoothed recorded positions, v and a their derivatives. Commands are delayed as in a simulation. A model
+    with memory contributes its friction at constant velocity.
 
     Attributes:
-        joints: Their names.
-        rows: How many rows come from each log.
-        motion: Of all logs, one after the other.
-        shape: Its number of samples, and of joints.
-        decimate: What a torque of all samples passes before it is compared.
+        joints: Names of the joints.
+        rows: Number of rows from each log.
+        motion: Motion of all logs, concatenated.
+        shape: Number of samples and of joints of the motion.
+        decimate: Filter and decimation for torques at all samples.
         moving: Which samples count, joint by joint.
         labels: Names of the coordinates.
-        box: Where the coordinates start, and their bounds.
+        box: Initial coordinates and bounds.
 
     Args:
         space: The coordinates.
-        recordings: Bench, law and logs.
-        filtering: How they are smoothed and compared.
-        held: Whether a recorded command acts until the next sample, as in a simulation; if not, at its instant alone,
-            as a measured torque or current does.
-        measured: Whether the recorded `torque` of the joints drives them, at its instant, in place of what the actuator
-            law makes of the commands.
-        substeps: Steps of a simulation in a sample interval, if the drive is one: a command that is held for so many
-            acts as late as that of a real drive only where they are many. 0: a real drive.
+        recordings: Bench, model and logs.
+        filtering: Smoothing of positions and filtering of torques.
+        held: Whether a recorded command acts until the next sample, as in a simulation; if not, only at its instant,
+            like a measured torque or current.
+        measured: Whether the recorded joint `torque` drives the joints, at its instant, in place of the actuator's
+            response to the commands.
+        substeps: Simulation steps in a sample interval if the drive is simulated, which make a held command act
+            slightly earlier than in a real drive; 0 for a real drive.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class TorqueEquation:
         self._motions = [filtering.motion(log) for log in logs]
         self.motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
         self.shape = self.motion.qpos.shape
-        # A simulated step takes the command of its beginning, and the positions' second difference is about that.
+        # A simulated step uses the command at its beginning, on which the second difference of positions is centred.
         whole = 1 - 1 / substeps if substeps else 1.0
         self._lateness = (whole * logs[0].timestep / 2 if held else 0.0), logs[0].timestep
         self.moving = filtering.is_moving(self.decimate(self.motion.qvel))
@@ -91,7 +91,7 @@ class TorqueEquation:
         self._compiled = jax.jit(self._torque), jax.jit(self._tangents)
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
-        """The torque that is left, filtered and decimated [N m or N]."""
+        """Return the residual torque, filtered and decimated [N m or N]."""
         at = jnp.asarray(vector, self._space.start.dtype)
         torque = np.asarray(self._compiled[0](at), np.float64)
         return self.decimate(torque) - self._rigid(self._space.values(at)["bench"])
@@ -99,29 +99,34 @@ class TorqueEquation:
     def left(
         self, vector: Float[np.ndarray, "coordinates"], friction: Float[np.ndarray, "time nv"]
     ) -> Float[np.ndarray, "rows nv"]:
-        """The same with this friction torque at all samples in place of the law's [N m or N]."""
+        """Return the residual torque with this friction torque in place of the model's [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
         known = values["bench"]
         torque = np.asarray(self._state(values).motor_torque, np.float64) - friction
         return self.decimate(torque - np.asarray(known["armature"]) * self.motion.qacc) - self._rigid(known)
 
     def state(self, vector: Float[np.ndarray, "coordinates"]) -> DriveState:
-        """What the friction law sees in every sample, as numpy arrays of shape (time, nv)."""
+        """Return the inputs of the friction model at every sample, as numpy arrays of shape (time, nv)."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
         return self._state(values).map(lambda signal: np.broadcast_to(np.asarray(signal, np.float64), self.shape))
 
     def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
-        """Its derivative."""
+        """Return the derivative of the residual torque with respect to the coordinates."""
         at = jnp.asarray(vector, self._space.start.dtype)
         tangents = self.decimate(np.moveaxis(np.asarray(self._compiled[1](at), np.float64), 0, -1))
-        slopes = np.zeros((*tangents.shape[:2], len(vector) + 1))  # the last takes what moves nothing
+        slopes = np.zeros((*tangents.shape[:2], len(vector) + 1))  # the last collects tangents that move no coordinate
         for joints, place in zip(self._sparsity.joints, self._sparsity.place, strict=True):
             slopes[:, joints[:, None], place] = tangents[:, joints]
         slopes = slopes[:, :, :-1]
         return slopes - self._offset_slope(at) if "bench.position_offset" in self._space.params else slopes
 
     def links(self, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> Links:
-        """What bodies of the bench's model do, by index, with these deviations of their prior."""
+        """Return the torque regressor and prior of bodies of the bench's model.
+
+        Args:
+            bodies: Indices of the bodies.
+            spread: Standard deviation of the prior of each of a body's coordinates.
+        """
         model = self._bench.compile(constraint=False)
         regressor = np.concatenate([inertial_regressor(model, bodies, *motion) for motion in self._motions])
         names = [model.body(body).name for body in bodies]
@@ -129,12 +134,12 @@ class TorqueEquation:
         return Links(self.decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
 
     def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-        """Physical value of each coordinate, not brought into its bounds."""
+        """Return the physical value of each coordinate, not clipped to its bounds."""
         split, params = self._space.split(vector), self._space.params
         return np.concatenate([np.zeros(0), *(params[name].from_coordinate(own, np) for name, own in split.items())])
 
     def weight(self, bench: Bench) -> Float[np.ndarray, "rows nv 3"]:
-        """Torque that the links of a bench need for each m/s^2 of gravity along each axis of the world."""
+        """Return the torque that a bench's links need per m/s^2 of gravity along each world axis."""
         at_rest = [Motion(motion.qpos, 0 * motion.qvel, 0 * motion.qacc) for motion in self._motions]
         without, *along = (
             self._inverse(bench.with_gravity(axis.tolist()), at_rest, None) for axis in (np.zeros(3), *np.eye(3))
@@ -144,7 +149,10 @@ class TorqueEquation:
     def scores(
         self, vector: Float[np.ndarray, "coordinates"]
     ) -> tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]:
-        """Normal equations of the torque weighted by what is left of it, and the gradient's part of each stretch."""
+        """Return the normal equations of the weighted residual torque, and the gradient of each stretch of time.
+
+        Each joint's weight is the inverse variance of its residual torque.
+        """
         left, slopes = self.lack(vector), self.slope(vector)
         counts = np.maximum(self.moving.sum(axis=0), 1)
         variance = np.where(self.moving, np.square(left), 0).sum(axis=0) / counts
@@ -152,15 +160,18 @@ class TorqueEquation:
         by_row = np.einsum("rvc,rv->rc", slopes, weight * left)
         scores = np.stack([part.sum(axis=0) for part in np.array_split(by_row, min(MOST_STRETCHES, len(by_row)))])
         hessian = np.einsum("rvc,rvd->cd", weight[:, :, None] * slopes, slopes, optimize=True)
-        # The likelihood of joints with noise of unknown size: the lower, the smaller the variances' geometric mean.
+        # With unknown noise variances, maximum likelihood minimises the geometric mean of the residual variances.
         mean = np.exp((counts * np.log(np.maximum(variance, np.finfo(float).tiny))).sum() / counts.sum())
         return NormalEquations(float(mean), mean * scores.sum(axis=0), mean * hessian), mean * scores
 
     def couplings(self, vector: Float[np.ndarray, "coordinates"]) -> dict[tuple[int, int], float]:
-        """Pairs of joints of whose torque that is left most goes with the other's motion, and the smaller share.
+        """Return pairs of joints whose residual torques are mostly explained by each other's motion.
 
-        So it is where a gear couples two joints: the motor of the one turns with both. What two links' inertia does to
-        each other changes with the pose, and goes with neither. Where next to nothing is left, it is no one's.
+        This indicates a gear that couples two joints: one motor turns with both. Coupling by the links' inertia depends
+        on the pose and does not show here. Joints with a residual torque below `LITTLE` are left out.
+
+        Returns:
+            For each pair, the smaller of the two explained shares.
         """
         left, driving = self.lack(vector), self.driving(vector)
         signals = self.decimate(np.stack([self.motion.qacc, self.motion.qvel, np.sign(self.motion.qvel)], axis=-1))
@@ -177,12 +188,12 @@ class TorqueEquation:
         return {(a, b): float(mutual[a, b]) for a, b in itertools.combinations(range(nv), 2) if mutual[a, b] > COUPLED}
 
     def driving(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
-        """The drives' own torque, filtered and decimated [N m or N]."""
+        """Return the torque of the drives, filtered and decimated [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
         return self.decimate(np.asarray(self._state(values).motor_torque, np.float64))
 
     def _torque(self, vector: Array) -> Float[Array, "time nv"]:
-        """What drives the links, at all samples."""
+        """Return the torque that drives the links, at all samples."""
         values = self._space.values(vector)
         state = self._state(values)
         friction = sliding_torque(jnp, self._model.terms(jnp, values["friction"], state), state.qvel)
@@ -194,7 +205,7 @@ class TorqueEquation:
         return jax.vmap(lambda seed: jax.jvp(self._torque, (vector,), (seed,))[1])(seeds)
 
     def _state(self, values: Values) -> DriveState:
-        """What the friction law sees in every sample."""
+        """Return the inputs of the friction model at every sample."""
         dtype = self._space.start.dtype
         qpos, qvel, external = (jnp.asarray(x, dtype) for x in (*self.motion[:2], self._external))
         signals, known = self._acting(values["bench"]), values["bench"]
@@ -207,7 +218,7 @@ class TorqueEquation:
         return DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed)
 
     def _acting(self, known: Mapping[str, Any]) -> Signals:
-        """What was recorded besides the motion, commands as they act at each sample."""
+        """Return the recorded signals other than motion, with commands delayed to when they act."""
         dtype, commands = self._space.start.dtype, self._bench.actuator.commands
         recorded = [log.signals.named() for log in self._logs]
         named = {name: jnp.asarray(np.concatenate([of[name] for of in recorded]), dtype) for name in recorded[0]}
@@ -227,7 +238,7 @@ class TorqueEquation:
 
     @cached_property
     def _ends(self) -> tuple[Int[np.ndarray, "time 1"], Int[np.ndarray, "time 1"]]:
-        """First and last sample of the log of each sample."""
+        """For each sample, the first and last sample of its log."""
         lengths = np.array([log.samples for log in self._logs])
         ends = np.cumsum(lengths)
         return np.repeat(ends - lengths, lengths)[:, None], np.repeat(ends - 1, lengths)[:, None]
@@ -237,7 +248,7 @@ class TorqueEquation:
         return self.decimate(self._inverse(self._bench, self._motions, None))
 
     def _rigid(self, known: Mapping[str, Any]) -> Float[np.ndarray, "rows nv"]:
-        """What the links need."""
+        """Return the torque that the links need, filtered and decimated."""
         offset = known.get("position_offset")
         if offset is None:
             return self._fixed
@@ -255,7 +266,7 @@ class TorqueEquation:
         return np.concatenate(parts)
 
     def _offset_slope(self, at: Array) -> Float[np.ndarray, "rows nv coordinates"]:
-        """Derivative of what the links need with respect to the coordinates of the position offset."""
+        """Return the derivative of the links' torque with respect to the coordinates of the position offset."""
         offset = np.asarray(self._space.values(at)["bench"]["position_offset"], np.float64)
         known, free = {"position_offset": offset}, self._space.places["bench.position_offset"].joints
         by_joint = np.zeros((*self.moving.shape, len(offset)))
@@ -267,5 +278,5 @@ class TorqueEquation:
 
 
 def _unexplained(rest: Float[np.ndarray, "rows"], columns: Float[np.ndarray, "rows columns"]) -> float:
-    """Sum of squares of what no combination of columns explains."""
+    """Return the sum of squares that no combination of columns explains."""
     return float(np.sum(np.square(rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0])))

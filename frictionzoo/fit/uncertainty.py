@@ -1,4 +1,4 @@
-"""How far the data determine what was identified: intervals, and parameters that cannot be told apart."""
+"""Confidence intervals of identified parameters, and groups of parameters that the data cannot distinguish."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,32 +18,33 @@ from frictionzoo.fit.space import Space
 
 LEVEL = 0.95
 WIDEST = np.log(1.5)
-"""Half an interval in the optimiser's coordinate from which on a parameter is not identifiable.
+"""Half width of an interval, in the optimiser's coordinate, above which a parameter is not identifiable.
 
-In logarithms it is a factor of 1.5, elsewhere 41 % of the parameter's scale.
+In logarithmic coordinates this is a factor of 1.5, otherwise 41 % of the parameter's scale.
 """
 COLLINEAR = 1e-4
-"""Eigenvalue of J' J, with columns scaled to length 1, below which a combination has no effect.
+"""Eigenvalue of J' J, with columns scaled to length 1, below which a combination of parameters has no effect.
 
-Two columns then agree to about 1 %: a difference of which a time step or a neglected effect is as large a part.
+Two columns then agree to about 1 %. A time step or a neglected effect causes differences of that size.
 """
-TAKES_PART = 0.1  # entry of a combination of length 1 from which on a parameter belongs to it
-CORRELATED = 0.99  # magnitude from which on the estimates of two parameters are one
-_LASTING = 0.97  # most of one stretch that the next one has, as Andrews and Monahan bound it
-_NOTHING = 1e-12  # curvature, as a share of the largest, below which a parameter has no effect at all
+TAKES_PART = 0.1  # entry of a combination of length 1 above which a parameter belongs to it
+CORRELATED = 0.99  # magnitude of the correlation above which two parameters are indistinguishable
+_LASTING = 0.97  # largest correlation rho of successive stretches, the bound of Andrews and Monahan
+_NOTHING = 1e-12  # curvature, as a share of the largest, below which a parameter has no effect
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far data determine what was identified from them.
+    """Confidence intervals and identifiability of the identified parameters.
 
     Attributes:
-        intervals: Lower and upper end of the 95 % interval of each identified parameter by full name, `bench.armature`,
-            in its unit, of shape (nv, 2); NaN where there is none.
-        determined: Whether the data determine it in each joint, of shape (nv,), by the same names; true where known.
-        indistinct: Groups of parameters that the data cannot tell apart, as `Space.labels` has them.
-        missing: Why there are no intervals at all; None where there are.
-        covariance: How sure all those are together that have an interval; None where none has.
+        intervals: Lower and upper end of each parameter's 95 % interval, in its unit, of shape (nv, 2), by full name
+            such as `bench.armature`; NaN where there is no interval.
+        determined: Whether the data determine the parameter in each joint, of shape (nv,), by the same names; true for
+            joints with a known value.
+        indistinct: Groups of parameters that the data cannot distinguish, by the names of `Space.labels`.
+        missing: Why there are no intervals at all; None otherwise.
+        covariance: Joint distribution of the coordinates that have an interval; None where none has.
     """
 
     intervals: Mapping[str, Float[np.ndarray, "nv 2"]] = field(default_factory=dict)
@@ -54,7 +55,7 @@ class Uncertainty:
 
     @property
     def identifiable(self) -> dict[str, bool]:
-        """Whether the data determine each identified parameter in all joints."""
+        """Whether the data determine the parameter in all joints, by full name."""
         return {name: bool(joints.all()) for name, joints in self.determined.items()}
 
 
@@ -64,51 +65,51 @@ def estimate_uncertainty(
     fit: Fit | None = None,
     finer: Callable[[Float[np.ndarray, "coordinates"]], Objective] | None = None,
 ) -> Uncertainty:
-    """Intervals of the identified parameters from the curvature of the objective and the spread of its gradient.
+    """Estimate confidence intervals from the curvature of the objective and the spread of its gradient.
 
     m_g = H^-1 (s_g - s),  e_g = m_g - rho m_(g-1),  e_1 = sqrt(1 - rho^2) m_1
     C = G / (G - 1) sum_g e_g e_g' / ((1 - rho) (1 - rho)'),  interval = x +- t sqrt(diag C)
 
         x    the best vector, in the optimiser's coordinates
-        H    J' J, of all residuals
-        s_g  J_g' r_g, the part of the gradient that comes from the stretch g; s is their mean
-        rho  of each coordinate, the correlation of m_g with that of the stretch before, 0 where it is negative
+        H    J' J of all residuals
+        s_g  J_g' r_g, the gradient of the stretch g; s is their mean
+        rho  for each coordinate, the correlation of m_g with m_(g-1), at least 0
         G    number of stretches, at most `MOST_STRETCHES`
         t    Student's quantile with G - 1 degrees of freedom
 
-    Residuals within a rollout are strongly correlated, and what a law lacks correlates those of neighbouring rollouts,
-    which besides share a noisy sample: sigma^2 H^-1 would be several times too narrow. A stretch is whole recordings
-    where there are at least `ENOUGH_RECORDINGS`, for what changes from one to the next is in no part of one; otherwise
-    it is a part of the time. Such parts are nearly independent, but for what a law lacks while the motion stays alike:
-    what one still has of the one before it, rho, widens the interval. An interval is stretched by the step
-    H^-1 s that a fit has left undone, so that it also holds for the best point of a grid. Its ends are brought back
-    into the bounds and into the parameter's unit.
+    sigma^2 H^-1 would be several times too narrow: residuals within a rollout are strongly correlated, model error
+    correlates the residuals of neighbouring rollouts, and neighbouring rollouts share a noisy sample. With at least
+    `ENOUGH_RECORDINGS` recordings a stretch consists of whole recordings, because a part of a recording does not show
+    changes from one recording to the next. Otherwise a stretch is a period of time. Such periods are nearly
+    independent, except for model error while the motion stays similar; rho widens the interval accordingly. The step
+    H^-1 s that the fit left to the minimum also widens the interval, so that it holds for the best point of a grid.
+    Both ends are clipped to the bounds and converted to the parameter's unit.
 
-    A simulation in steps of h moves the value by about as much again as half as long steps take back. With `finer`, an
-    interval reaches to where steps of no length would have the value: s is then 2 s_(h/2) - s_h.
+    Halving the time step h removes about half of its effect on the estimate. With `finer`, the interval extends to the
+    estimate at time step 0: s is then 2 s_(h/2) - s_h.
 
-    A parameter is not identifiable where it has no effect, where only a combination with others has one, where it ended
-    at a bound, or where its interval reaches a bound or is wider than `WIDEST`. At a bound, without effect and in a
-    combination it has no interval. Those of one combination, and others that are not identifiable and whose estimates
-    follow each other, are told as a group. What ended at a bound is taken as known by the others.
+    A parameter is not identifiable if it has no effect, has one only in combination with others, ended at a bound, or
+    has an interval that reaches a bound or whose half width exceeds `WIDEST`. In the first three cases it has no
+    interval. The parameters of one combination form a group; so do other unidentifiable parameters with strongly
+    correlated estimates. A parameter that ended at a bound counts as known for the others.
 
-    The interval speaks of the value that fits best, not of the drive's: a law that is wrong in the same way throughout
-    the data, and the bias of noisy initial states, are not in it.
+    The interval describes the best-fitting value, not the drive's true value: it does not contain a model error that is
+    the same throughout the data, nor the bias of noisy initial states.
 
     Args:
-        objective: What was minimised.
-        vector: The best one.
-        fit: How it was found, which may have another loss; None: by that of the objective.
-        finer: Makes the same objective near a vector, of a drive that is simulated in steps of half the length; None:
-            the steps' length is not looked at.
+        objective: The objective that was minimised.
+        vector: The best coordinates.
+        fit: The method that found them, which may minimise another loss; None for the objective's loss.
+        finer: Function that returns the objective near a vector with the drive simulated at half the time step; None
+            to ignore the effect of the time step.
 
     Source: P. Huber, "The behavior of maximum likelihood estimates under nonstandard conditions", 1967; H. White, "A
     heteroskedasticity-consistent covariance matrix estimator and a direct test for heteroskedasticity", 1980; K.-Y.
     Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", 1986, for clusters; C. Bester, T.
     Conley, C. Hansen, "Inference with dependent data using cluster covariance estimators", 2011, for few stretches of
     time as clusters; D. Andrews, J. Monahan, "An improved heteroskedasticity and autocorrelation consistent covariance
-    matrix estimator", 1992, for rho, there called prewhitening; L. Richardson, "The deferred approach to the limit",
-    1927, for the steps, whose error is of the first order.
+    matrix estimator", 1992, for rho (prewhitening); L. Richardson, "The deferred approach to the limit", 1927, for
+    time steps with a first-order error.
     """
     space = objective.space
     if not space.names:
@@ -122,7 +123,7 @@ def estimate_uncertainty(
     if objective.stretches < 2:
         return Uncertainty(missing="there is one segment only, and no spread between segments")
     compile_scores = Objective.compile_scores if fit is None else fit.compile_scores
-    if (begun := objective.begun) is not None:  # a fit knows them nearly, and a second search says how nearly
+    if (begun := objective.begun) is not None:  # a second search refines the states of the fit
         begun = compile_scores(objective.beginning(begun))(vector)[0].states
     equations, scores = compile_scores(objective.beginning(begun))(vector)
     if not all(np.isfinite(part).all() for part in (equations.gradient, equations.hessian, scores)):
@@ -141,14 +142,14 @@ def assess(
     scores: Float[np.ndarray, "stretches coordinates"],
     collinear: float = COLLINEAR,
 ) -> Uncertainty:
-    """The same from the normal equations at the best vector.
+    """Estimate confidence intervals from the normal equations at the best vector; see `estimate_uncertainty`.
 
     Args:
         space: The coordinates, all of physical parameters.
-        vector: The best one.
-        equations: There, with the second derivative of a robust loss as it is.
-        scores: Part of the gradient that comes from each stretch of segments.
-        collinear: In place of `COLLINEAR`.
+        vector: The best coordinates.
+        equations: The normal equations there, with the exact second derivative of a robust loss.
+        scores: Gradient of each stretch of segments.
+        collinear: Threshold in place of `COLLINEAR`.
     """
     vector, low, high = (np.asarray(side, np.float64) for side in (vector, space.low, space.high))
     curvature = np.diag(equations.hessian)
@@ -173,14 +174,14 @@ def assess(
 
 
 class _Solution(NamedTuple):
-    """Of the coordinates that have an effect.
+    """Covariance of the coordinates that have an effect.
 
     Attributes:
-        covariance: Of their estimates.
-        freedom: Degrees of freedom by which it is known.
-        step: From the best vector to the minimum, as far as the curvature tells.
-        combined: Whether only a combination with others has an effect.
-        joined: Which two have an effect in one combination only, or estimates that follow each other.
+        covariance: Covariance of their estimates.
+        freedom: Degrees of freedom of the covariance.
+        step: Newton step from the best vector to the minimum.
+        combined: Whether a coordinate has an effect only in combination with others.
+        joined: Whether two coordinates belong to the same such combination, or have strongly correlated estimates.
     """
 
     covariance: Float[np.ndarray, "seen seen"]
@@ -195,11 +196,11 @@ def _solve(
 ) -> _Solution:
     scale = np.sqrt(np.diag(equations.hessian)[seen])
     eigenvalues, axes = np.linalg.eigh(equations.hessian[np.ix_(seen, seen)] / np.outer(scale, scale))
-    # An eigenvalue near the precision of its matrix is rounding: its combination counts as having no effect.
+    # Eigenvalues near the precision of the matrix are rounding error: their combinations have no effect.
     kept = eigenvalues > 100 * precision
     inverse = (axes[:, kept] / eigenvalues[kept]) @ axes[:, kept].T / np.outer(scale, scale)
     stretches, centred = len(scores), scores[:, seen] - scores[:, seen].mean(axis=0)
-    moved = _whiten(centred @ inverse)  # a product with itself has no diagonal that rounds to below 0
+    moved = _whiten(centred @ inverse)  # factored, so that no variance rounds below 0
     covariance = stretches / (stretches - 1) * moved.T @ moved
 
     null = axes[:, eigenvalues < collinear]
@@ -216,7 +217,7 @@ def _solve(
 
 
 def _whiten(moved: Float[np.ndarray, "stretches seen"]) -> Float[np.ndarray, "stretches seen"]:
-    """What is new in each stretch, as much larger as its lasting effect on all that follow makes it."""
+    """Remove the correlation of successive stretches (prewhitening), and rescale to the long-run variance."""
     square = np.square(moved).sum(axis=0)
     kept = np.divide((moved[1:] * moved[:-1]).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
     kept = np.clip(kept, 0.0, _LASTING)
@@ -227,7 +228,7 @@ def _whiten(moved: Float[np.ndarray, "stretches seen"]) -> Float[np.ndarray, "st
 def _describe(
     space: Space, vector: Float[np.ndarray, "coordinates"], own: Int[np.ndarray, "own"], found: _Solution
 ) -> Covariance:
-    """Of these coordinates, stretched so that half an interval reaches as far as what the fit left undone, too."""
+    """Return the distribution of these coordinates, shifted and widened by half the step left to the minimum."""
     kept = ~found.combined
     matrix, step = found.covariance[np.ix_(kept, kept)], found.step[kept]
     deviation = np.sqrt(np.diag(matrix))
@@ -243,7 +244,7 @@ def _quantile(freedom: float) -> float:
 
 
 def _list_groups(joined: Bool[np.ndarray, "seen seen"]) -> list[Int[np.ndarray, "members"]]:
-    """Sets of two and more that are joined to each other, directly or by others."""
+    """Return the connected sets of two or more coordinates."""
     count, label = connected_components(joined, directed=False)
     groups = (np.flatnonzero(label == number) for number in range(count))
     return [group for group in groups if len(group) > 1]

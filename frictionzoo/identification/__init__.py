@@ -1,4 +1,4 @@
-"""From recordings to an identified drive: the problem, and its solution."""
+"""Identification of a drive from recordings: the problem and its solution."""
 
 from frictionzoo.identification.problem import Parts, Problem
 from frictionzoo.identification.solve import solve

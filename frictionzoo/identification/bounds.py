@@ -1,4 +1,4 @@
-"""Upper bounds of armature and friction that the recorded motion asks for, where they are defaults."""
+"""Upper bounds of armature and friction, raised from their defaults to match the recorded motion."""
 
 import copy
 import logging
@@ -20,27 +20,27 @@ from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.by_name import law_section
 
 _log = logging.getLogger(__name__)
-_AMPLE = 2.0  # times what the torque allows
-_LARGE = 99.0  # percentile of the torque's size: a few samples may be wrong
-_STILL = 0.1  # share of the fastest joint's speed, or acceleration, below which a joint does not count
+_AMPLE = 2.0  # factor on the bound that the torque allows
+_LARGE = 99.0  # percentile of the absolute torque: a few samples may be wrong
+_STILL = 0.1  # share of the fastest joint's speed or acceleration below which a joint is ignored
 
 
 def widen_bounds(
     settings: Mapping[str, Any], bench: Bench, logs: Sequence[Log], model: FrictionModel
 ) -> tuple[Mapping[str, Any], Bench, tuple[Choice, ...]]:
-    """Raise upper bounds that are defaults to what the recordings allow.
+    """Raise default upper bounds to the largest values that the recordings allow.
 
-    No dry friction is larger than the torque that moves a joint, no damping than that over the speed, no armature than
-    that over the acceleration. A bound is never lowered, and one that is not the default stays.
+    The torque that moves a joint limits its dry friction, torque over speed its damping, and torque over acceleration
+    its armature. Bounds are never lowered, and bounds that differ from the default are kept.
 
     Args:
-        settings: All options; with another recipe than `auto` nothing changes.
+        settings: All options; nothing changes unless `recipe` is `auto`.
         bench: The test stand.
-        logs: Training recordings that it accepted.
-        model: The law, bound to the joints; its own bounds are raised.
+        logs: Training recordings that the bench has accepted.
+        model: The friction model, bound to the joints; its bounds are raised in place.
 
     Returns:
-        Settings and bench with these bounds, and a choice for each.
+        Settings and bench with the new bounds, and one choice for each raised bound.
     """
     if settings["recipe"] != AUTO:
         return settings, bench, ()
@@ -68,7 +68,7 @@ def widen_bounds(
 
 
 def _allow(bench: Bench, logs: Sequence[Log]) -> dict[str, float]:
-    """The largest parameter of any joint that recordings allow, by its dimension."""
+    """Return the largest value that recordings allow in any joint, for each dimension of a parameter."""
     compiled = bench.compile(constraint=False)
     found = [one for log in logs if (one := balance(log, bench, compiled)) is not None]
     if not found:
@@ -84,7 +84,7 @@ def _allow(bench: Bench, logs: Sequence[Log]) -> dict[str, float]:
 
 
 def _is_low(param: Param, allowed: Mapping[str, float]) -> bool:
-    """Whether a parameter that a fit may change has one number as its upper bound, below what recordings allow."""
+    """Return whether an identified parameter has a scalar upper bound below the one that recordings allow."""
     high = param.high
     return param.is_identified and isinstance(high, float) and high < allowed.get(param.dimension, 0.0)
 
@@ -92,7 +92,7 @@ def _is_low(param: Param, allowed: Mapping[str, float]) -> bool:
 def _list_laws(
     model: FrictionModel, section: Mapping[str, Any]
 ) -> Iterator[tuple[FrictionModel, Sequence[Mapping[str, Any]], str]]:
-    """Each law of a model that may have several, with the sections that make it, and the first one's option."""
+    """Yield each friction model of a possibly composite model, its sections, and the option of the first section."""
     if not isinstance(model, ByJoint):
         yield model, [section], "model"
         return
@@ -104,7 +104,7 @@ def _list_laws(
 
 
 def _read_defaults(name: str, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Upper bounds that `conf/model` gives a law's parameters."""
+    """Return the upper bounds that `conf/model` gives the parameters of a friction model."""
     if name not in list_choices("model"):
         return {}
     return {key: param["high"] for key, param in law_section(name, settings, {}).get("params", {}).items()}

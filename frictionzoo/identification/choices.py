@@ -1,4 +1,4 @@
-"""A choice of a recipe, and what it may choose of."""
+"""A choice of the automatic settings, and the optional parameters that they may identify."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -10,13 +10,13 @@ OPTIONAL = {
     "position_offset": "the data show an encoder offset",
     "torque_offset": "the data show a constant torque",
 }
-"""Parameters of a bench that are identified where recordings show them, and what they stand for."""
+"""Bench parameters that are identified only if the recordings show them, and the reason given then."""
 RIVALS = "torque_offset", "position_offset"
-"""Those among them that shift a balance with gravity alike, so that one of them is identified at most."""
+"""Optional parameters that shift a balance with gravity in the same way: at most one of them is identified."""
 
 
 class Choice(NamedTuple):
-    """What was chosen for an option that was left open, and why."""
+    """The value chosen for an open option, and the reason."""
 
     option: str
     value: Any
@@ -28,10 +28,10 @@ class Choice(NamedTuple):
 
 
 def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
-    """What the options of a loss that are given leave no choice for.
+    """Yield the choices that the given options of a loss determine.
 
     Args:
-        loss: All of them; an open one is `auto`.
+        loss: All options of the loss; an open one is `auto`.
     """
     given = {name: value for name, value in loss.items() if value != AUTO}
     if given.get("impulse"):
@@ -47,5 +47,5 @@ def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
 
 
 def is_open(params: Mapping[str, Any], name: str) -> bool:
-    """Whether the section of a bench's parameters leaves open if this one is identified."""
+    """Return whether a bench's parameter section leaves open if this parameter is identified."""
     return isinstance(params.get(name), Mapping) and params[name].get("identify") == AUTO

@@ -1,4 +1,4 @@
-"""Commands to copy after a run: a repair, the law to try, the recording to make, the export."""
+"""Suggested commands after a run: a repair, the next model to try, the next recording, the export."""
 
 import re
 import shlex
@@ -22,7 +22,7 @@ from frictionzoo.models.sees import SEES, observe, simpler_law, suggest_law
 from frictionzoo.result.residual_types import ResidualRow
 from frictionzoo.result.verdict_types import CommandRow
 
-FIRST_LAW = "mujoco_default"  # to try where nothing is to be compared with
+FIRST_LAW = "mujoco_default"  # suggested if no other model is
 TARGET = "mjcf"
 _RUN, _EXCITE = "python -m frictionzoo.run", "python -m frictionzoo.excite"
 _DISTILL = "python -m frictionzoo.distill"
@@ -34,14 +34,14 @@ _OF_THE_DATA = re.compile(r"(data|experiment)\b")
 
 @dataclass(frozen=True)
 class Origin:
-    """How a run was asked for.
+    """The request for a run, from a shell or from Python.
 
     Attributes:
-        command: What a shell was told before the options; None for a call from Python.
-        options: `KEY=VALUE` each, those that choose the law and its parameters left out; of a call from Python the
-            arguments that are not as they are where nothing is said, `NAME=VALUE` each.
-        folder: The run's; None for one that is in memory only.
-        law: Options that choose the law and its parameters, of a shell.
+        command: The shell command before the options; None for a call from Python.
+        options: Options as `KEY=VALUE`, without those in `law`; for a call from Python, the arguments that differ from
+            their defaults, as `NAME=VALUE`.
+        folder: The run's folder; None for a run in memory.
+        law: Shell options that choose the friction model and its parameters.
     """
 
     command: str | None = None
@@ -51,38 +51,38 @@ class Origin:
 
     @classmethod
     def of_run(cls, options: Sequence[str], folder: Path, teacher: str | None = None) -> "Origin":
-        """Of the command line, by the options of the job, and the folder of the drive that it follows, if any."""
+        """Return the origin of a command-line run from its options, its folder and, if it has one, its teacher's."""
         kept = [each for each in options if not _OF_THE_LAW.match(each) and not _OF_THE_FOLDER.match(each)]
         law = tuple(each for each in options if _OF_THE_LAW.match(each))
         return cls(_RUN if teacher is None else f"{_DISTILL} {shlex.quote(teacher)}", tuple(kept), folder, law)
 
     @classmethod
     def of_call(cls, arguments: Mapping[str, Any]) -> "Origin":
-        """Of `frictionzoo.identify`, by its arguments; what is no plain value stands by its name."""
+        """Return the origin of a call of `frictionzoo.identify`; arguments without a plain value appear by name."""
         return cls(None, tuple(f"{name}={_write(name, value)}" for name, value in arguments.items()))
 
     @property
     def place(self) -> str:
-        """The run's folder as this process sees it, for a shell."""
+        """The run's folder, quoted for a shell; relative if it is inside the working directory."""
         folder = Path() if self.folder is None else self.folder
         inside = folder.is_absolute() and folder.is_relative_to(Path.cwd())
         return shlex.quote(str(folder.relative_to(Path.cwd()) if inside else folder))
 
 
 IN_MEMORY = Origin()
-"""A call from Python in which nothing else was said."""
+"""A call from Python with default arguments."""
 
 
 def suggest_commands(
     problem: Problem, values: Mapping[str, Any], residual: ResidualRow | None, origin: Origin
 ) -> list[CommandRow]:
-    """Return commands for a shell, or calls for Python, before the verdict has left any out.
+    """Return commands for a shell, or calls for Python; the verdict may still drop some.
 
     Args:
-        problem: What was identified.
-        values: Of the bench's parameters, by name.
-        residual: What is left of the torque.
-        origin: How it was asked for.
+        problem: The problem that was identified.
+        values: Values of the bench's parameters, by name.
+        residual: The residual torque.
+        origin: The request for the run.
     """
     law = choose_law(problem, residual)
     limits = recorded_limits(problem.bench, values, problem.dataset.train)
@@ -113,7 +113,7 @@ def _rows(commands: Mapping[str, str]) -> list[CommandRow]:
 
 
 def _list_repairs(problem: Problem) -> list[Repair]:
-    """Return the repairs of the first finding that has any, and of all others that set the same options."""
+    """Return the repairs of the first finding that has some, and of all findings that set the same options."""
     first = next((doubt.repairs for doubt in problem.doubts if doubt.repairs), ())
     options = {repair.option for repair in first}
     alike = [doubt.repairs for doubt in problem.doubts if {repair.option for repair in doubt.repairs} == options]
@@ -121,7 +121,7 @@ def _list_repairs(problem: Problem) -> list[Repair]:
 
 
 def _repair_in_shell(repairs: Mapping[str, Any], origin: Origin) -> str:
-    """Return the same run with these options in place of its own."""
+    """Return the command of the same run with repaired options."""
     kept = [each for each in (*origin.options, *origin.law) if each.partition("=")[0].lstrip("+~") not in repairs]
     changed = [f"{name}={_plain(value)}" for name, value in repairs.items()]
     return shlex.join([*shlex.split(origin.command or _RUN), *kept, *changed])
@@ -145,7 +145,10 @@ def _inspect_in_shell(origin: Origin) -> str:
 
 
 def choose_law(problem: Problem, residual: ResidualRow | None) -> str:
-    """The law to try next: one that has what the error goes with; else one that has a term more, or a term less."""
+    """Return the friction model to try next.
+
+    It is one with the term that the residual torque asks for; else one with one term more; else one with one term less.
+    """
     places = [place for row in residual["by_joint"] for place in row["places"]] if residual else []
     found = [place["law"] for place in sorted(places, key=lambda place: -place["share"])]
     if named := next(filter(None, found), None):
@@ -162,7 +165,7 @@ def _is_recorded(problem: Problem, what: str) -> bool:
 
 
 def _choose_in_shell(problem: Problem, law: str, residual: ResidualRow | None) -> list[str]:
-    """What chooses the law: where joints have laws of their own, they keep them but for those that lack something."""
+    """Return the options that choose the next model; with a model per joint, only insufficient ones are replaced."""
     model = problem.drive.model
     if not isinstance(model, ByJoint):
         return [f"model={law}"]
@@ -173,7 +176,7 @@ def _choose_in_shell(problem: Problem, law: str, residual: ResidualRow | None) -
 
 
 def _excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any]) -> bool:
-    """Whether a command of positions can be designed for the drive."""
+    """Return whether the experiment design supports this drive."""
     try:
         inputs = {name: np.zeros(problem.bench.nv) for name in problem.bench.actuator.inputs} | _usual(problem)
         refuse_unholdable(problem.bench, values, inputs, Limits.read(problem.bench.nv, **limits))
@@ -187,7 +190,7 @@ def _usual(problem: Problem) -> dict[str, Float[np.ndarray, "nv"]]:
 
 
 def _has_parameters(problem: Problem) -> bool:
-    """Whether a recording can tell all that the run identified."""
+    """Return whether everything identified is a physical parameter, so that its information can be designed for."""
     space = problem.objective.space
     return bool(space.params) and not space.weights and not isinstance(problem.drive.model, TorchFriction)
 
@@ -213,7 +216,7 @@ _NO_DESIGN = "  # no command can be designed for this drive; record the motion t
 
 
 def _plain(value: Any) -> str:
-    """Return a value as an option has it."""
+    """Return a value as an option writes it."""
     return str(value).lower() if isinstance(value, bool) else str(value).replace(" ", "")
 
 
@@ -222,7 +225,7 @@ def _round(value: float | np.floating) -> float:
 
 
 def _write(name: str, value: Any) -> str:
-    """An argument of a call, by its name where no text makes it again."""
+    """Return an argument of a call as code, or its name if its text is no literal."""
     text = repr(value)
     plain = isinstance(value, str | int | float | bool | None) or (
         isinstance(value, dict | list | tuple) and not re.search(r"[<(]", text)

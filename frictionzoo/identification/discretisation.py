@@ -1,4 +1,4 @@
-"""A simulation in steps of half the length: what the step has done to a result."""
+"""Discretisation error of a result, measured by simulating with half the timestep."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def is_wanted(asked: Any) -> bool:
-    """Whether half a step is looked at.
+    """Return whether the result is checked with half the timestep.
 
     Raises:
         ConfigError: `discretisation` is neither true nor false.
@@ -29,12 +29,12 @@ def is_wanted(asked: Any) -> bool:
 
 
 def finer(problem: "Problem") -> Callable[[Float[np.ndarray, "coordinates"]], Objective] | None:
-    """Makes the objective near a vector, of the drive in steps of half the length; None where that is not asked for.
+    """Return a function that makes the objective near a vector with half the timestep.
 
-    Nor is it of a fit that minimises something without a step.
+    None if `discretisation` is false, or if the fit minimises an objective without rollouts.
 
     Raises:
-        ConfigError: As `is_wanted`.
+        ConfigError: See `is_wanted`.
     """
     by_rollouts = type(problem.fit).compile_scores is Fit.compile_scores
     if not (is_wanted(problem.settings["discretisation"]) and by_rollouts):
@@ -51,22 +51,22 @@ def finer(problem: "Problem") -> Callable[[Float[np.ndarray, "coordinates"]], Ob
 
 
 def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:
-    """The test stand in steps of half the length.
+    """Return the test stand with half the timestep.
 
     Args:
-        bench: In steps of the whole length.
-        softness: Of the friction constraint, `solreffriction`; None: as stiff as the steps allow if it was, and else as
-            it was.
+        bench: The test stand with the full timestep.
+        softness: `solreffriction` of the friction constraint; None: as stiff as the timestep allows if `bench` has
+            that, else unchanged.
     """
     constant, ratio = bench.solreffriction
-    if bench.is_stiff:  # then friction is softer than the drive's for the step's sake alone
+    if bench.is_stiff:  # the timestep alone makes the constraint softer than the drive's friction
         constant /= 2
     softness = list(softness or (constant, ratio))
     return remake(bench, timestep=bench.timestep / 2, solreffriction=softness).observing(bench.observed)
 
 
 def in_other_steps(objective: Objective, drive: Drive, bench: Bench) -> Objective:
-    """The same objective of the drive on a test stand that differs in its steps."""
+    """Return the same objective on a test stand with another timestep."""
     sampling = bench.sampling(objective.interval)
     other = Drive.assemble(bench, drive.model, drive.engine.name, sampling)
     space = Space(bench, other.model, str(objective.space.start.dtype))

@@ -1,4 +1,4 @@
-"""Automatic settings of a run, kept in its folder: a run that goes on takes them from there."""
+"""Automatic settings stored in a run's folder, from which a resumed run reads them."""
 
 import copy
 import hashlib
@@ -37,10 +37,10 @@ _log = logging.getLogger(__name__)
 
 
 class Kept:
-    """`settle` for a run's folder: what it finds is kept there, and found once for the same options and data.
+    """`settle` with a file in the run's folder that stores its result for the same options and data.
 
     Args:
-        folder: The run's, which may be a stranger's: nothing in it is executed.
+        folder: The run's folder. It may come from a stranger: nothing in it is executed.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -49,7 +49,7 @@ class Kept:
     def settle(
         self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
     ) -> Settled:
-        """Choose as `frictionzoo.identification.recipe.settle` does, or return what it chose before.
+        """Choose as `frictionzoo.identification.recipe.settle` does, or return the stored choices.
 
         Raises:
             FrictionzooError: The input is at fault, or the file cannot be written.
@@ -58,7 +58,7 @@ class Kept:
             return settle(settings, bench, dataset, model, fit)
         identity = _identify(settings, bench, dataset, model)
         if (kept := self._read(identity, settings, bench)) is not None:
-            if kept.start is not None and self._had_pilot:  # by whose equations the fit began
+            if kept.start is not None and self._had_pilot:  # the fit uses its compiled equations
                 pilot = Stages(settings, bench, dataset, model, fit).repeat(kept.settings, kept.start)
                 kept = replace(kept, pilot=pilot)
             _log.info("automatic settings read from %s", self._path)
@@ -85,7 +85,7 @@ class Kept:
         write_atomically(self._path, safetensors.numpy.save(arrays, header))
 
     def _read(self, identity: str, settings: Mapping[str, Any], bench: Bench) -> Settled | None:
-        """What the file holds for these options and data; None where it holds nothing, others', or is damaged."""
+        """Return the settings stored for these options and data; None if the file is missing, damaged or for others."""
         if not self._path.exists():
             return None
         try:
@@ -117,13 +117,13 @@ class Kept:
 
 
 def _sign(text: str, arrays: Mapping[str, Any]) -> str:
-    """SHA-256 of all that the file holds, by which damage is told."""
+    """Return the SHA-256 of the file's content, to detect damage."""
     ordered = {name: arrays[name] for name in _ARRAYS if name in arrays}
     return hashlib.sha256(f"{text}{[*ordered]}{digest(ordered)}".encode()).hexdigest()
 
 
 def _identify(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel) -> str:
-    """SHA-256 of what settings are chosen by."""
+    """Return the SHA-256 of everything that the automatic settings depend on."""
     state = {name: value.numpy() for name, value in model.state_dict().items()}
     told = {
         "version": __version__,
@@ -136,7 +136,7 @@ def _identify(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model
 
 
 def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
-    """Options that are left open, and initial values of what is identified if recordings show it."""
+    """Yield the open options, and the initial values of optional parameters."""
     for option, value in list_options(settings):
         if value == AUTO:
             yield option
@@ -145,7 +145,7 @@ def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _put(settings: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """The same settings with other values of these options."""
+    """Return the settings with other values of these options."""
     changed = copy.deepcopy(dict(settings))
     for option, value in options.items():
         *path, key = option.split(".")

@@ -1,24 +1,24 @@
-"""What a first fit leaves: noise, what an encoder rounds, or more, which the law lacks."""
+"""Cause of a first fit's residual: noise, encoder rounding, or an effect that the friction model lacks."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-_TAILS = 10.0  # fourth over squared second moment of errors from which on a law lacks something; of noise 3
-_BEYOND = 3.0  # times the noise of positions, that errors are then
-_EVEN, _NO_MORE = 2.8, 1.5  # kurtosis, and times the noise, up to which errors are taken for rounding, 1.8 and 1
-_WIDE = 0.3  # times the median absolute error, from which on one counts less than its square
+_TAILS = 10.0  # kurtosis of errors above which the model lacks something; noise has 3
+_BEYOND = 3.0  # RMS error over the position noise above which the model lacks something
+_EVEN, _NO_MORE = 2.8, 1.5  # kurtosis and RMS error over noise below which errors count as rounding (1.8 and 1)
+_WIDE = 0.3  # threshold of the robust loss, in median absolute errors
 
 
 class Misfit(NamedTuple):
-    """Errors of position beside the noise of the encoder.
+    """Position errors compared with the encoder noise.
 
     Attributes:
-        beyond: Root mean square error over the noise, of the joint in which it is largest.
-        kurtosis: Fourth over squared second moment, of the joint in which it is largest.
-        scale: Error from which on a robust loss is to count less than its square, as `loss.robust_scale` has it: in
-            rad or m, or where each joint's errors count over their size, over that.
+        beyond: RMS error over noise, largest over joints.
+        kurtosis: Fourth over squared second moment, largest over joints.
+        scale: Error beyond which a robust loss counts it less than squared, for `loss.robust_scale` [rad or m];
+            dimensionless if each joint's errors are divided by their size.
     """
 
     beyond: float
@@ -27,12 +27,12 @@ class Misfit(NamedTuple):
 
     @classmethod
     def of(cls, errors: Float[np.ndarray, "batch time nv"], noise: Float[np.ndarray, "nv"], by_joint: bool) -> "Misfit":
-        """Of rollouts, those that diverge left out.
+        """Return the misfit of rollouts; diverged ones are ignored.
 
         Args:
-            errors: Of position [rad or m].
-            noise: Of each joint's measured position [rad or m].
-            by_joint: Whether each joint's errors count over their size.
+            errors: Position errors [rad or m].
+            noise: Noise of each joint's measured position [rad or m].
+            by_joint: Whether each joint's errors are divided by their size.
         """
         squares = np.square(errors[np.isfinite(errors).all(axis=(1, 2))])
         means = squares.mean(axis=(0, 1))
@@ -44,12 +44,12 @@ class Misfit(NamedTuple):
 
     @property
     def is_more_than_noise(self) -> bool:
-        """Whether the law lacks something."""
+        """Whether the friction model lacks something."""
         return self.kurtosis > _TAILS or self.beyond > _BEYOND
 
     @property
     def is_rounding(self) -> bool:
-        """Whether nothing is left but what the encoder rounds."""
+        """Whether encoder rounding explains the residual."""
         return self.kurtosis < _EVEN and self.beyond < _NO_MORE
 
     def __str__(self) -> str:

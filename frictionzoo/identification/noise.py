@@ -1,4 +1,4 @@
-"""What recordings say of their own noise, and how errors of position and velocity count by it."""
+"""Sensor noise estimated from recordings, and the loss weights that follow from it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,21 +9,21 @@ from jaxtyping import Float
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import find_noise
 
-_ROUNDING = (0.2, 0.4)  # noise over the encoder's step, where rounding is all of it: 0.29
-_WHOLE = 1e-3  # of a difference between readings, that it is off a whole multiple of the step
-_STILL = 1e-9  # of the largest difference, that is none but for rounding of another kind
-_LITTLE = 0.01  # of a position's noise, that an estimated velocity counts for: it was in the position before
+_ROUNDING = (0.2, 0.4)  # range of noise over encoder step that counts as rounding alone (0.29)
+_WHOLE = 1e-3  # relative deviation of a difference between readings from a whole multiple of the step
+_STILL = 1e-9  # share of the largest difference below which one is floating-point rounding
+_LITTLE = 0.01  # share of the position noise, for velocities estimated from positions: they add little information
 
 
 class Noise(NamedTuple):
-    """White noise of a drive's sensors, root mean square over recordings.
+    """White noise of a drive's sensors, RMS over recordings.
 
     Attributes:
-        position: Of each joint [rad or m].
-        velocity: Of each joint [rad/s or m/s]; 0 of one whose velocity was estimated from its position; None where all
-            were.
-        speed: Root mean square velocity of each joint [rad/s or m/s].
-        step: To which positions are rounded [rad or m]; 0 where that is not what the noise is, or not alike in all.
+        position: Position noise of each joint [rad or m].
+        velocity: Velocity noise of each joint [rad/s or m/s]; 0 for a joint without a measured velocity; None if any
+            recording's velocities were estimated from positions, or no joint shows velocity noise.
+        speed: RMS velocity of each joint [rad/s or m/s].
+        step: Encoder step [rad or m]; 0 if rounding does not explain the noise, or the joints' steps differ.
     """
 
     position: Float[np.ndarray, "nv"]
@@ -33,7 +33,7 @@ class Noise(NamedTuple):
 
     @classmethod
     def of(cls, logs: Sequence[Log]) -> "Noise":
-        """Of these recordings."""
+        """Estimate the noise of recordings."""
 
         def each(name: str) -> Float[np.ndarray, "nv"]:
             found = [[find_noise(column) for column in getattr(log, name).T] for log in logs]
@@ -48,9 +48,9 @@ class Noise(NamedTuple):
 
     @property
     def velocity_weight(self) -> float:
-        """Weight of squared velocity errors over that of squared position errors [s^2].
+        """Weight of squared velocity errors relative to squared position errors [s^2].
 
-        As the inverse of variances, in the mean over joints that have noise; next to nothing for an estimated velocity.
+        Ratio of the noise variances, as geometric mean over joints with noise; almost 0 for estimated velocities.
         """
         if self.velocity is None:
             noise, reference, share = self.position, self.speed, _LITTLE
@@ -63,7 +63,7 @@ class Noise(NamedTuple):
 
 
 def _find_step(logs: Sequence[Log], noise: Float[np.ndarray, "nv"]) -> float:
-    """The encoder's step in all joints [rad or m]; 0 where positions have none, or other noise than its rounding."""
+    """Return the encoder step that all joints share [rad or m]; 0 without one, or if rounding is not the noise."""
     steps = [find_step([log.qpos[:, joint] for log in logs]) for joint in range(len(noise))]
     low, high = (share * np.array(steps) for share in _ROUNDING)
     alike = max(steps) - min(steps) <= _WHOLE * max(steps)
@@ -71,7 +71,7 @@ def _find_step(logs: Sequence[Log], noise: Float[np.ndarray, "nv"]) -> float:
 
 
 def find_step(columns: Sequence[Float[np.ndarray, "_"]]) -> float:
-    """The step of which all differences of readings are whole multiples; 0 where there is none."""
+    """Return the step that divides all differences between readings; 0 if there is none."""
     sizes = np.abs(np.concatenate([np.diff(column) for column in columns]))
     moved = sizes[sizes > _STILL * sizes.max(initial=0.0)]
     if not len(moved):

@@ -1,4 +1,4 @@
-"""A fit ahead of the fit: what settings are chosen by."""
+"""Pilot fits, on which the automatic settings are based."""
 
 import contextlib
 import copy
@@ -27,28 +27,28 @@ from frictionzoo.identification.discretisation import in_other_steps
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate.drive import Drive
 
-_EXACT = 3e-3  # of a value, or of its scale where that is more: half an interval that need not be narrower
+_EXACT = 3e-3  # half interval that is narrow enough, relative to the value or to its scale if that is larger
 _COLLINEAR = 1e-8
-"""`COLLINEAR` of a pilot: a delay is nearly collinear with armature and damping, and what has no interval is in doubt,
-however much a long log says of it."""
+"""`COLLINEAR` of a pilot. A delay is nearly collinear with armature and damping, and a parameter without an interval
+counts as doubtful even if a long log determines it."""
 _MOST_TRIES, _TOLERANCE = 40, 1e-5
-_ROLLOUTS = 64  # by which errors are told
-_DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
+_ROLLOUTS = 64  # number of rollouts from which errors are measured
+_DISTURBED = 1e-3  # disturbance of initial velocities, as a share of a joint's RMS speed
 
 
 class Found(NamedTuple):
-    """Where a pilot ended.
+    """The result of a pilot fit.
 
     Attributes:
-        labels: Name of each coordinate, as `Space.labels` has it.
+        labels: Name of each coordinate, as in `Space.labels`.
         vector: The coordinates.
-        half: Half of the 95 % interval of each; NaN where there is none.
-        enough: Half an interval that need not be narrower, a small share of the value, or of its scale if that is more.
-        at_bound: Whether its value ended at a bound.
-        loss: The objective there.
-        measured: Positions of the segments.
-        states: Initial states of these there; None where none were refined.
-        sizes: `Objective.sizes` with which it is.
+        half: Half width of each coordinate's 95 % interval; NaN if it has none.
+        enough: Half width that is narrow enough: a small share of the value, or of its scale if that is larger.
+        at_bound: Whether each value ended at a bound.
+        loss: The loss at `vector`.
+        measured: Measured positions of the segments.
+        states: Estimated initial states of the segments; None if none were estimated.
+        sizes: `Objective.sizes` of the fit.
     """
 
     labels: list[str]
@@ -63,41 +63,41 @@ class Found(NamedTuple):
 
     @classmethod
     def begun(cls, labels: list[str], vector: Float[np.ndarray, "coordinates"]) -> "Found":
-        """Where a search may begin; nothing else is known about it."""
+        """Return a start for a search, with nothing but the coordinates known."""
         nothing = np.full(len(vector), np.nan)
         return cls(labels, vector, nothing, nothing, np.zeros(len(vector), bool), np.inf, np.zeros((0, 0, 0)), None)
 
     def states_of(self, segments: Segments) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
-        """Initial states of these segments, where they are the same."""
+        """Return the estimated initial states if these are the fitted segments, else None."""
         return self.states if np.array_equal(segments.qpos, self.measured) else None
 
     @property
     def owners(self) -> set[str]:
-        """Parameters of the bench that were found."""
+        """Names of the parameters among the coordinates, without the prefix of the bench."""
         return {label.partition("/")[0].removeprefix("bench.") for label in self.labels}
 
     def among(self, labels: Sequence[str], otherwise: Float[np.ndarray, "others"]) -> Float[np.ndarray, "others"]:
-        """The coordinates of these names, another's where there is none."""
+        """Return the coordinates with these labels; `otherwise` fills those that this result lacks."""
         known = dict(zip(self.labels, self.vector, strict=True))
         return np.array([known.get(label, value) for label, value in zip(labels, otherwise, strict=True)])
 
     def in_halves(self, step: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-        """A step's size in half intervals, of which one that is narrower than `enough`, or none, counts as that."""
+        """Return a step's size in half intervals; `enough` replaces narrower or missing ones."""
         return np.abs(step) / np.fmax(self.half, self.enough)
 
 
 class Pilot:
-    """A problem of which only the fit is posed, in float64.
+    """A problem with a fit but without an evaluation, in float64.
 
     Args:
         bench: The test stand.
-        model: The law; it stays as it is.
-        logs: Recordings that it is fitted on.
+        model: The friction model; it does not change.
+        logs: Recordings for the fit.
         segments: Arguments of `cut_segments`.
-        loss: Of `Objective`.
+        loss: Arguments of `Objective`.
         engine: Name of the engine.
-        begun: Where another one ended: there each joint's errors have the size over which they count, with
-            `loss.by_joint`. None: at the initial values.
+        begun: Result of another pilot, at which the error sizes for `loss.by_joint` are taken; None: the initial
+            values.
 
     Raises:
         FrictionzooError: The input is at fault.
@@ -119,7 +119,7 @@ class Pilot:
         self._sampling = self.bench.sampling(accepted[0].timestep)
         self._drive = Drive.assemble(self.bench, copy.deepcopy(model), engine, self._sampling)
         self.segments = cut_segments(accepted, **segments, history=self._sampling.history)
-        self._simulated: dict[tuple[float, ...], Objective] = {}  # by their steps: each is compiled once
+        self._simulated: dict[tuple[float, ...], Objective] = {}  # by timestep and softness: each is compiled once
         space = Space(self.bench, self._drive.model, "float64")
         objective = Objective(space, self._drive.rollout, self.segments, **loss)
         self._recordings = objective.recordings = Recordings(self.bench, self._drive.model, accepted)
@@ -130,29 +130,29 @@ class Pilot:
 
     @property
     def space(self) -> Space:
-        """What it moves."""
+        """The optimiser's coordinates."""
         return self.objective.space
 
     @property
     def start(self) -> Float[np.ndarray, "coordinates"]:
-        """Where it begins of itself, of physical parameters."""
+        """Initial coordinates of the physical parameters."""
         return np.asarray(self.space.start, np.float64)[: len(self.space.labels)]
 
     def balance(self, bench: Bench) -> Found:
-        """Where torques are in balance along the recorded motion, which needs no rollout; else the initial values.
+        """Return a start from the torque balance over the recorded motion, or the initial values if they are better.
 
-        The better of both by the rollouts' errors: where samples are far apart, accelerations are not known.
+        Rollout errors decide between both: with widely spaced samples, accelerations are unknown.
 
         Args:
-            bench: The test stand with what is moved for that.
+            bench: The test stand whose free parameters the balance determines.
         """
         recordings = self._recordings._replace(bench=bench.observing(self._drive.model.inputs))
         starts = [self.start]
-        with contextlib.suppress(FrictionzooError):  # too short a recording, say
+        with contextlib.suppress(FrictionzooError):  # such as a recording that is too short
             space = Space(recordings.bench, self._drive.model, "float64")
             equation = TorqueEquation(space, recordings, Filtering(), held=True)
             vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
-            # What is drowned by the rest ends at a bound, from which a search takes long to come back.
+            # Poorly determined parameters end at a bound, from which a search returns slowly.
             vector = np.where(space.at_bound(vector), space.start, vector)
             starts.append(self.whole(Found.begun(space.labels, vector)))
         return Found.begun(self.space.labels, min(starts, key=self._miss))
@@ -164,17 +164,17 @@ class Pilot:
         thorough: bool = False,
         kept: Bool[np.ndarray, "segments"] | None = None,
     ) -> Found:
-        """The best vector, by Levenberg-Marquardt.
+        """Fit by Levenberg-Marquardt.
 
         Args:
-            begun: Where to begin.
-            without: Parameters of the bench that are 0; what was found has none of them.
-            thorough: Whether other starts are tried: of laws that the law contains where it has several minima, and
-                other delays.
-            kept: Which segments count; None for all.
+            begun: The start.
+            without: Parameters of the bench that are fixed at 0; the result does not contain them.
+            thorough: Whether to use a multi-start: with nested models if the model has several minima, and with other
+                delays.
+            kept: Segments that count; None for all.
 
         Raises:
-            FitError: The loss is not finite where it begins.
+            FitError: The loss is not finite at the start.
         """
         moving = self._moving(without)
         objective = self.objective.beginning(begun.states_of(self.segments)).among(kept)
@@ -189,12 +189,12 @@ class Pilot:
         return self._conclude(vector, loss, moving, searches.states and searches.states.states)
 
     def foresee(self, found: Found, without: str, instead: str) -> Found:
-        """Return where the last fit would have ended with another parameter in place of one, as far as slopes tell.
+        """Predict by linearisation the result of the last fit with one parameter exchanged for another.
 
         Args:
-            found: Where it ended.
-            without: A parameter of the bench that it had.
-            instead: One that it had not.
+            found: Result of the last fit.
+            without: The bench's parameter to fix at 0.
+            instead: The bench's parameter to free instead.
         """
         (equations, scores), vector = self._end, self.whole(found)
         moving = self._moving({without, *(OPTIONAL.keys() - found.owners - {instead})})
@@ -209,7 +209,7 @@ class Pilot:
         return ahead
 
     def _moving(self, without: Collection[str]) -> Bool[np.ndarray, "coordinates"]:
-        """Which coordinates belong to no such parameter of the bench."""
+        """Return which coordinates belong to other parameters than these of the bench."""
         return np.array([label.partition("/")[0].removeprefix("bench.") not in without for label in self.space.labels])
 
     def _conclude(
@@ -219,9 +219,9 @@ class Pilot:
         moving: Bool[np.ndarray, "coordinates"],
         states: Any,
     ) -> Found:
-        """What is found where these coordinates have moved, and `_end` is what the objective is there."""
+        """Return the result at a vector whose `moving` coordinates were fitted; `_end` has the equations there."""
         half, (equations, scores) = np.full(len(vector), np.nan), self._end
-        if self.objective.stretches > 1:  # there is a spread between segments
+        if self.objective.stretches > 1:  # intervals need a spread between segments
             equations = equations._replace(hessian=np.where(np.outer(moving, moving), equations.hessian, 0.0))
             intervals = assess(self.space, vector, equations, scores, _COLLINEAR).intervals
             ends = self.space.pick({name: intervals[name] for name in self.space.places})
@@ -239,7 +239,7 @@ class Pilot:
         )
 
     def simulate(self, bench: Bench) -> Objective:
-        """The objective with a bench that differs in its steps or in the softness of its friction."""
+        """Return the objective with a bench that differs in its timestep or in the softness of its friction."""
         steps = (bench.timestep, *bench.solreffriction)
         if steps not in self._simulated:
             watching = bench.observing(self._drive.model.inputs)
@@ -247,33 +247,33 @@ class Pilot:
         return self._simulated[steps]
 
     def approaching(self, other: Objective, found: Found) -> "Pilot":
-        """This one with the residuals of such another simulation, near where it ended."""
+        """Return this pilot with the residuals of another simulation (see `simulate`), linearised at a result."""
         near, objective = copy.copy(self), self.objective.beginning(found.states_of(self.segments))
         near.objective = objective.approaching(other, self.whole(found))
         return near
 
     def step(self, found: Found) -> tuple[Float[np.ndarray, "coordinates"], float]:
-        """One step of Gauss and Newton from what was found, and the loss that it promises.
+        """Return one Gauss-Newton step from a result, and the loss that it predicts.
 
-        It is 0 of what the data do not determine.
+        The step is 0 for coordinates that the data do not determine, and for those at a bound.
         """
         objective = self.objective.beginning(self.objective.begun)
         equations = objective.compile_normal_equations()(self.whole(found))
-        free = (found.half < WIDEST) & ~found.at_bound  # of NaN, False
+        free = (found.half < WIDEST) & ~found.at_bound  # False for NaN
         places = [self.space.labels.index(label) for label in np.array(found.labels)[free]]
         step = np.zeros(len(free))
         step[free] = -_solve(equations, places)
         return step, equations.loss + float(step[free] @ equations.gradient[places])
 
     def whole(self, found: Found) -> Float[np.ndarray, "coordinates"]:
-        """All coordinates: what was not found is 0 where it is optional, and else as it was at the beginning."""
+        """Return all coordinates; those that a result lacks are 0 if optional, else the initial ones."""
         labels, start = self.space.labels, np.array(self.space.start, np.float64)
         optional = [label.partition("/")[0].removeprefix("bench.") in OPTIONAL for label in labels]
         start[: len(labels)] = found.among(labels, np.where(optional, 0.0, start[: len(labels)]))
         return start
 
     def residuals(self, found: Found) -> Float[np.ndarray, "segments time nv"]:
-        """Errors of position in the segments that were fitted, from the initial states that were found, if any were."""
+        """Return position errors in the fitted segments [rad or m], from estimated initial states if there are any."""
         qpos, _ = self.objective.beginning(found.states_of(self.segments)).predict(self.whole(found))
         return self._by_segment(qpos) - self.segments.qpos[:, 1:]
 
@@ -281,7 +281,13 @@ class Pilot:
         return np.asarray(qpos).reshape(-1, *qpos.shape[2:])[: self.segments.count]
 
     def errors(self, found: Found, logs: Sequence[Log], horizon: float) -> Float[np.ndarray, "batch time nv"]:
-        """Errors of position in rollouts of this length [s] from measured states, one after the other in recordings."""
+        """Return position errors [rad or m] of consecutive rollouts from measured states.
+
+        Args:
+            found: The result with the parameters.
+            logs: Recordings to compare with.
+            horizon: Length of a rollout [s].
+        """
         accepted = tuple(map(self.bench.accept, logs))
         windows = cut_rollouts(accepted, horizon, _ROLLOUTS, "consecutive", 0, self._sampling.history)
         values = self.space.values(jnp.asarray(self.whole(found), self.space.start.dtype))
@@ -290,9 +296,9 @@ class Pilot:
         return np.asarray(qpos) - windows.qpos[:, 1:]
 
     def growth(self, found: Found) -> Float[np.ndarray, "time"]:
-        """How far a disturbed initial velocity carries the position, over what it does without any force.
+        """Return the position error from a disturbed initial velocity over time, divided by the one without forces.
 
-        Median over segments, of the joint in which it is largest.
+        The largest over joints; median over segments.
         """
         cut, data = self.segments, self.objective.data
         disturbed = _DISTURBED * np.sqrt(np.square(cut.qvel).mean(axis=(0, 1))) + np.finfo(float).tiny
@@ -304,27 +310,27 @@ class Pilot:
         return np.nan_to_num(np.median(grown.max(axis=2), axis=0), nan=np.inf)
 
     def _miss(self, vector: Float[np.ndarray, "coordinates"]) -> float:
-        """Mean error of position in rollouts from measured states; infinite where one diverges."""
+        """Return the mean position error in segments from measured states; infinite if a rollout diverges."""
         return float(np.nan_to_num(np.abs(self.residuals(Found.begun(self.space.labels, vector))).mean(), nan=np.inf))
 
     def _half(self, label: str, ends: Float[np.ndarray, "2"]) -> float:
-        """Half an interval in the optimiser's coordinate."""
+        """Return half the width of an interval in the optimiser's coordinate."""
         param = self.space.params[label.partition("/")[0]]
         low, high = param.to_coordinate(ends, np)
         return float(high - low) / 2
 
 
 def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-    """See `Found.enough`; a step of a logarithm is a share of the value by itself."""
+    """Return `Found.enough`; a step of a logarithm is already relative to the value."""
     logarithms = [space.params[label.partition("/")[0]].scale == "log" for label in space.labels]
     return _EXACT * np.where(logarithms, 1.0, np.fmax(1.0, np.abs(vector)))
 
 
 def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
-    """H^-1 g of these coordinates; 0 of one that moves nothing.
+    """Return H^-1 g for these coordinates; 0 for one without effect.
 
     Raises:
-        FitError: They are not finite.
+        FitError: The equations are not finite.
     """
     if not equations.finite:
         raise FitError("the loss is not finite at the end of the fit")

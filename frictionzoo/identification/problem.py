@@ -1,4 +1,4 @@
-"""What is to be identified, from which recordings, and how: all of the input, looked at."""
+"""The identification problem: checked input, objective and evaluation."""
 
 import contextlib
 import logging
@@ -44,20 +44,20 @@ from frictionzoo.simulate.drive import Drive, refuse_other_joints
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
 
 _log = logging.getLogger(__name__)
-_AT_ONCE = 25_000  # samples that are looked at together
+_AT_ONCE = 25_000  # samples in one batch
 
 
 class Parts(NamedTuple):
-    """What a problem is made of.
+    """Input of a problem.
 
     Attributes:
         settled: The bench and all options: `segments`, `loss` and `evaluation`, the arguments of `cut_segments`,
-            `Objective` and `Evaluation`; `engine`; `dtype`; and whatever else the record is to tell.
+            `Objective` and `Evaluation`; `engine`; `dtype`; and everything else that the record reports.
         dataset: Recordings, train and test.
-        model: The friction law; it is made ready for the data, and a fit leaves the best values in it.
-        fit: How to find the parameters.
-        doubts: What of the recordings is likely to be wrong.
-        seconds: What it took to have them [s].
+        model: The friction model; it is prepared for the data, and a fit leaves the best values in it.
+        fit: The fit method.
+        doubts: Likely faults of the recordings.
+        seconds: Time to prepare the parts [s].
     """
 
     settled: Settled
@@ -71,12 +71,12 @@ class Parts(NamedTuple):
     def from_settings(
         cls, settings: Mapping[str, Any], given: Given | None = None, choose: Callable[..., Settled] = settle
     ) -> "Parts":
-        """The parts that the settings describe.
+        """Build the parts that the settings describe.
 
         Args:
             settings: All options.
             given: Bench and recordings, if they have been read already.
-            choose: As in `settle`.
+            choose: See `settle`.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -100,15 +100,15 @@ class Parts(NamedTuple):
         fit: Fit,
         choose: Callable[..., Settled] = settle,
     ) -> "Parts":
-        """These parts, with what the settings leave open found on the training recordings.
+        """Return the parts, with open options chosen on the training recordings.
 
         Args:
             settings: All options; an open one is `auto`.
-            bench: The test stand without what is open.
+            bench: The test stand without open options.
             dataset: Recordings, train and test.
-            model: The friction law.
-            fit: How to find the parameters.
-            choose: Finds what is open, as `frictionzoo.identification.recipe.settle`.
+            model: The friction model.
+            fit: The fit method.
+            choose: Chooses open options, as `frictionzoo.identification.recipe.settle` does.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -136,32 +136,32 @@ class Parts(NamedTuple):
         return cls(settled, dataset, model, fit, doubts, time.perf_counter() - began)
 
     def computing(self) -> contextlib.AbstractContextManager[str]:
-        """JAX in the precision and on the device of the settings."""
+        """Return a context with JAX in the precision and on the device of the settings."""
         settings = self.settled.settings
         return computing(settings["dtype"], settings["device"], settings["compilation_cache"])
 
 
 @dataclass(frozen=True)
 class Problem:
-    """An identification that is ready to begin: all of the input has been looked at.
+    """An identification that is ready to begin: the input is checked.
 
     Attributes:
         bench: The test stand.
         dataset: Recordings, train and test.
-        doubts: What of them is likely to be wrong.
-        sampling: From their samples to simulation steps.
-        segments: What the fit compares.
-        evaluation: The rollouts that judge.
-        drive: The bench with the chosen law.
-        proof: That it is simulated as MuJoCo does.
-        samples: What the law sees in the training samples.
-        objective: What the fit minimises.
-        fit: How.
+        doubts: Likely faults of the recordings.
+        sampling: Mapping from recorded samples to simulation steps.
+        segments: Training segments that the fit compares.
+        evaluation: The rollouts of the evaluation.
+        drive: The bench with the chosen friction model.
+        proof: Verification against MuJoCo C.
+        samples: Inputs of the friction model in the training samples.
+        objective: The loss that the fit minimises.
+        fit: The fit method.
         settings: All options of the run.
-        seconds: What posing it took [s].
-        links: Link inertias that were identified before, and are the bench's; None where none were.
-        choices: What was left open of the settings, and found.
-        pilot: The first fit, by whose equations this one goes; None where it has its own.
+        seconds: Time to pose the problem [s].
+        links: Link inertias identified before the fit, which the bench has; None if there are none.
+        choices: Choices of the automatic settings.
+        pilot: The pilot fit whose compiled equations this fit uses; None if it compiles its own.
     """
 
     bench: Bench
@@ -183,7 +183,7 @@ class Problem:
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
-        """The problem that the settings describe, in the precision and on the device of the present `computing`.
+        """Pose the problem that the settings describe, in the current `computing` context.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -192,7 +192,7 @@ class Problem:
 
     @classmethod
     def pose(cls, parts: "Parts") -> "Problem":
-        """The problem of these parts, in the precision and on the device of the present `computing`.
+        """Pose the problem of these parts, in the current `computing` context.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -214,7 +214,7 @@ class Problem:
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
-        choose_filtering(fit, evaluation.torque)  # refuses what is none before a fit and not after it
+        choose_filtering(fit, evaluation.torque)  # refuses an invalid filter before the fit
         drive = Drive.assemble(bench, model, settings["engine"], sampling)
         proof = prove(bench, model, drive.engine.name, initial_values(bench, model), Recorded.of(dataset.train))
         samples = _training_samples(drive, bench, dataset)
@@ -230,18 +230,18 @@ class Problem:
         objective = objective.balanced(None if found is None or links else found.sizes)
         pilot = None if found is None or links or objective.devices > 1 else parts.settled.pilot
         if pilot is not None and found is not None:
-            objective = objective.within(pilot.objective, pilot.whole(found))  # which is compiled already
+            objective = objective.within(pilot.objective, pilot.whole(found))  # already compiled
         seconds = parts.seconds + time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
         return cls(*posed, fit, settings, seconds, links, parts.settled.choices, pilot)
 
     def following(self, teacher: Identified) -> "Problem":
-        """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.
+        """Return the problem with a fitted drive's rollouts as training segments; the evaluation is unchanged.
 
-        The bench starts with the fitted values; its armature alone is free.
+        The bench starts at the fitted values, and only its armature is free.
 
         Raises:
-            RunError: The recordings are not those of the teacher's run any more, or the teacher diverges.
+            RunError: The recordings have changed since the teacher's run, or the teacher diverges.
         """
         settings = self.settings
         came = {"data": describe_data(self.dataset)["sha256"], "evaluation": self.evaluation.sha256}
@@ -251,7 +251,7 @@ class Problem:
                     f"{teacher.place}: {what} with SHA-256 {sha256[:12]}, expected {expected[:12]} as in that run; "
                     "restore its recordings or run it again"
                 )
-        # The teacher's law may look at something that the student's does not, and the other way round.
+        # The models of teacher and student may need different inputs.
         train = tuple(map(teacher.bench.accept, self.dataset.train))
         followed = teacher.follow(cut_segments(train, **settings["segments"], history=self.sampling.history))
         segments = replace(self.segments, qpos=followed.qpos, qvel=followed.qvel)
@@ -263,9 +263,9 @@ class Problem:
 
 
 def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float) -> tuple[Bench, Mapping[str, Any]]:
-    """Return the bench with steps that divide an interval [s] of the recordings, if nobody stated a step.
+    """Return bench and settings with a timestep that divides the sample interval [s], if no timestep was set.
 
-    And the settings, with that step where no recipe is to find one.
+    The settings keep `auto`: the automatic settings choose the timestep later.
     """
     asked, steps = settings["bench"].get("timestep"), interval / bench.timestep
     if asked not in (None, AUTO) or bench.fits(interval):
@@ -278,8 +278,8 @@ def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float)
 
 
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
-    """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
-    # All recordings as one, since each of another length would be compiled anew; in parts to bound the memory.
+    """Return the friction model's inputs in every training sample, at the bench's initial values, as numpy arrays."""
+    # Recordings are concatenated, because each length would compile anew, and run in batches to bound memory.
     of_logs = [
         (log.qpos, log.qvel, log.signals, np.broadcast_to(log.load, (log.samples, len(log.load))))
         for log in dataset.train

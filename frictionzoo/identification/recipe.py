@@ -1,4 +1,4 @@
-"""Settings that find themselves: what a user leaves open is chosen on the training data alone, with a reason each."""
+"""Automatic settings: open options are chosen on the training data alone, each with a reason."""
 
 import logging
 from collections.abc import Mapping
@@ -23,15 +23,15 @@ RECIPES = ("given", AUTO)
 
 @dataclass(frozen=True)
 class Settled:
-    """Settings of which nothing is left open.
+    """Settings without open options.
 
     Attributes:
         settings: All options of the run.
-        bench: The test stand with them.
-        choices: What was left open, in the order in which it was chosen.
-        start: Where the fit begins; None: at the initial values.
-        doubts: Where the accuracy that was sought is not reached, a sentence each.
-        pilot: One with these settings; None where there was none, or where they were kept in a file.
+        bench: The test stand with these options.
+        choices: Choices in the order in which they were made.
+        start: Start of the fit; None: the initial values.
+        doubts: Warnings where the wanted accuracy is not reached.
+        pilot: A pilot fit with these settings; None if there was none, or if the settings come from a file.
     """
 
     settings: Mapping[str, Any]
@@ -43,14 +43,14 @@ class Settled:
 
 
 def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit) -> Settled:
-    """Choose what the settings leave open, on the training recordings alone, in float64.
+    """Choose open options on the training recordings alone, in float64.
 
     Args:
-        settings: All options; an open one is `auto`. What is not, stays.
-        bench: The test stand without what is open.
+        settings: All options; an open one is `auto`. Others do not change.
+        bench: The test stand without open options.
         dataset: Recordings.
-        model: The law, bound to the joints of the bench; it stays as it is.
-        fit: How parameters are to be found.
+        model: The friction model, bound to the joints of the bench; it does not change.
+        fit: The fit method.
 
     Raises:
         FrictionzooError: The input is at fault.
@@ -68,18 +68,18 @@ def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: F
 
 
 def refuse_unknown(recipe: str) -> None:
-    """ConfigError where there is no such recipe."""
+    """Raise ConfigError for an unknown recipe."""
     if recipe not in RECIPES:
         raise ConfigError(f"recipe={recipe}: no such recipe; {closest(recipe, RECIPES)}")
 
 
 def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bool) -> dict[str, Any]:
-    """A bench's section that leaves open what its maker said nothing of.
+    """Return a bench's section with all options open that it does not set.
 
     Args:
         bench: The section.
-        plain: That of a configuration with `recipe=auto`, which says what may be left open.
-        from_file: Whether a robot's file says by how much commands act late.
+        plain: The bench section of a configuration with `recipe=auto`, which lists the options that may be open.
+        from_file: Whether a robot's file states the delay of commands.
     """
     perhaps = {name: dict(plain["params"][name]) for name in OPTIONAL}
     perhaps["delay"] |= {"init": None} if from_file else {}

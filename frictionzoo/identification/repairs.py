@@ -1,4 +1,4 @@
-"""The same run with what its findings ask for: options for a shell, or a call for Python."""
+"""Repairs of a run's findings as shell options or as a Python call."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -12,15 +12,15 @@ from frictionzoo.logs.clean import Cleaning
 from frictionzoo.logs.files import Files
 
 _PARAMS, _SIGN, _BENCH, _DATA = ".params.", "data.sign.", "bench.", "data."
-_WIDER = 10.0  # times a value outside its bounds, of the bound that a repair sets
+_WIDER = 10.0  # distance factor of a new bound from a repaired value outside the bounds
 _READ = ("format", "columns", "units", "sign", "fields", "fields_from_name", "where", "exclude", "inputs", "payload")
 
 
 def complete_options(repairs: Iterable[Repair], bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that make all these repairs, complete: a list has the present value of every other joint.
+    """Return the options that make all these repairs; lists have an entry for each joint, repaired or not.
 
     Args:
-        repairs: Of one finding or several; of two for the same joint, the first counts.
+        repairs: Repairs of one or several findings; the first one for an option and joint counts.
         bench: The test stand of the run.
         settings: All options of the run.
     """
@@ -41,7 +41,7 @@ def complete_options(repairs: Iterable[Repair], bench: Bench, settings: Mapping[
 
 
 def _present(option: str, bench: Bench, settings: Mapping[str, Any]) -> list[Any]:
-    """Return the present value of an option for each joint."""
+    """Return the current value of an option for each joint."""
     if option.startswith(_SIGN):
         sign = (settings["data"].get("sign") or {}).get(option.removeprefix(_SIGN), 1)
         return np.broadcast_to(sign, bench.nv).tolist()
@@ -54,7 +54,7 @@ def _round(value: float | int) -> float | int:
 
 
 def _widen(options: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the bounds of parameters that a repair puts outside the present ones."""
+    """Return wider bounds for parameters that a repair puts outside their current bounds."""
     wider: dict[str, Any] = {}
     for option, values in options.items():
         *path, last = option.split(".")
@@ -73,17 +73,17 @@ def _widen(options: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str,
 
 
 def bench_call(options: Mapping[str, Any]) -> str:
-    """Return the bench with these options as a call for Python."""
+    """Return Python code for the bench with these options."""
     own = {name.removeprefix(_BENCH): value for name, value in options.items() if name.startswith(_BENCH)}
     return f"bench.with_options({own!r})" if own else "bench"
 
 
 def logs_call(options: Mapping[str, Any], section: Mapping[str, Any]) -> str | None:
-    """Return the recordings with these options as a call for Python; None where they are in no file.
+    """Return Python code that reads the recordings with these options; None if they are in no file.
 
     Args:
-        options: By name.
-        section: The settings that the recordings were read with.
+        options: Options by name.
+        section: The data settings of the run.
     """
     own = {name.removeprefix(_DATA): value for name, value in options.items() if name.startswith(_DATA)}
     if not own:

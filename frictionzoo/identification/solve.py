@@ -1,4 +1,4 @@
-"""The fit of a problem, what the data determine of its outcome, and its judgement: an identified drive."""
+"""Solution of an identification problem: fit, uncertainty and evaluation."""
 
 import copy
 import logging
@@ -51,15 +51,15 @@ def solve(
     measured: Problem | None = None,
     origin: Origin = IN_MEMORY,
 ) -> Identified:
-    """Identify a drive, in the same `computing` in which the problem was posed.
+    """Identify a drive, in the `computing` context in which the problem was posed.
 
     Args:
-        problem: What is to be identified.
-        name: The law's, for the record.
-        device: Where it runs, for the record.
-        record: Where the fit's course is kept; None to keep it in memory only.
-        measured: The problem with the measured segments, where this one's are another drive's rollouts.
-        origin: How it was asked for, by which it tells what to do next.
+        problem: The identification problem.
+        name: Name of the friction model, for the record.
+        device: Name of the device, for the record.
+        record: Where the fit's course is written; None: memory only.
+        measured: The problem with measured segments, if the segments of `problem` are another drive's rollouts.
+        origin: The request for the run, from which the next commands are derived.
 
     Raises:
         FrictionzooError: The fit cannot begin, or the record cannot be written.
@@ -110,7 +110,7 @@ def solve(
 
 
 def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curves) -> Identified:
-    """The drive, with what it was found by for as long as it is in memory."""
+    """Return the identified drive; the objective of its fit stays available while it is in memory."""
     return Identified(
         folder=None,
         result=result,
@@ -127,7 +127,7 @@ def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curve
 
 
 def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
-    """The best that the bench does without friction, on the same segments and the same rollouts, and its values."""
+    """Fit and evaluate the bench without friction on the same segments and rollouts; return evaluation and values."""
     settings = problem.settings
 
     def assemble(bench: Bench) -> Drive:
@@ -147,7 +147,7 @@ def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
 
 
 def _measure_torque(problem: Problem, outcome: Outcome) -> TorqueRow | None:
-    """What the final values leave of recorded torque."""
+    """Return the residual torque of all recordings at the final values."""
     recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.logs)
     filtering = choose_filtering(problem.fit, problem.evaluation.torque)
     space = problem.objective.space
@@ -155,14 +155,14 @@ def _measure_torque(problem: Problem, outcome: Outcome) -> TorqueRow | None:
 
 
 def _find_left(problem: Problem, outcome: Outcome) -> Left | None:
-    """What the final values leave of the training recordings' torque."""
+    """Return the residual torque of the training recordings at the final values."""
     recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.train)
     filtering, _ = choose_filtering(problem.fit, problem.evaluation.torque)
     return find_left(recordings, problem.objective.space, outcome.vector, filtering)
 
 
 def _portray(problem: Problem, result: Result, left: Left | None) -> dict[str, Any]:
-    """The law beside what recordings imply, and what is left over time, as `Curves` has them."""
+    """Return friction curves with data, and the residual torque over time, as fields of `Curves`."""
     model, samples = problem.drive.model, problem.samples
     drawn = result["covariance"] and draw_parameters("", result, problem.bench, model, DRAWS, seed=0)
     if left is None:
@@ -209,17 +209,17 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, ba
 
 
 def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
-    """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
+    """Return the actuators' torque at measured states [N m or N], at initial values: the same for all models."""
     values = {"bench": problem.bench.initial_values()}
     observe = make_observer(problem.drive.engine, problem.sampling)
-    # Of what a law sees, this alone: what else there is needs the links' dynamics, which take seconds to compile.
+    # Only the torque: the model's other inputs need the links' dynamics, which take seconds to compile.
     torque = problem.drive.rollout.compile(lambda *states: observe(*states).motor_torque)
     states = segments.qpos[:, :-1], segments.qvel[:, :-1]
     return np.asarray(torque(values, *states, segments.signals, segments.loads), np.float64)
 
 
 def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> FitRow:
-    # Iterations of a search are no path, and what converged or diverged says so itself.
+    # Iterations of a grid search are no descent, and a converged or diverged fit reports that itself.
     descended = outcome.stopped == "finished" and outcome.method != "grid"
     history = space.pick({name: values.T for name, values in outcome.history.items()})
     return {
@@ -234,7 +234,7 @@ def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> F
 
 
 def _describe_timing(problem: Problem, outcome: Outcome, began: float, asked: float, judged: float) -> TimingRow:
-    """Seconds of each part of `solve`, which ends now; the others are when it began, asked for intervals and judged."""
+    """Return seconds of each part of `solve`, given when it, the intervals (`asked`) and the evaluation began [s]."""
     ended = time.perf_counter()
     return {
         "setup": problem.seconds,

@@ -1,4 +1,4 @@
-"""What a recipe chooses, stage by stage: weights, segments, loss, what is late or askew, and the simulation step."""
+"""Stages of the automatic settings: weights, segments, loss, optional parameters and timestep."""
 
 import copy
 import math
@@ -27,27 +27,27 @@ from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Found, Pilot
 from frictionzoo.models import FrictionModel, TorchFriction
 
-_LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are estimated along, and for other fits
+_LONGEST, _SHORT = 1.0, 0.1  # s, longest segments with and without estimated initial states
 _FEWEST = 10  # samples of a segment
-_MANY = 10  # segments that there are at the least, for the spread between them says how sure a value is
-_GROWTH = 20.0  # times that a disturbance may grow within a segment
-_COARSEST = 1e-3  # s, of the simulation
-_FIRST_STEPS, _MOST_STEPS = 4e5, 3e6  # simulation steps times joints, of first fits and of the last
-_LEAST = 0.1  # share of the segments that is left where they are too many steps
-_MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
-_ROUNDS = 4  # of shorter steps
-_LATE = 0.2  # sample intervals of delay from which on there may be other minima
-_CLEAR = 1.5  # times half its 95 % interval that an optional parameter is away from 0, with a chance of 0.3 %
-_BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
-_HELPFUL = 0.005  # share by which a parameter that is not shown has to
-_HOPELESS = 3.0  # times another's loss, that a step promises, after which there is no search
-_VALIDATION = 0.2  # share of the training recordings
+_MANY = 10  # segments at least: the spread between them gives the intervals
+_GROWTH = 20.0  # largest growth of a disturbance within a segment
+_COARSEST = 1e-3  # s, longest timestep
+_FIRST_STEPS, _MOST_STEPS = 4e5, 3e6  # most simulation steps times joints, of pilots and of the final fit
+_LEAST = 0.1  # smallest share of the segments that is kept
+_MOVES = 1 / 3  # largest change of a parameter, in half intervals, when the timestep is halved
+_ROUNDS = 4  # most halvings of the timestep
+_LATE = 0.2  # delay in sample intervals above which there may be other minima
+_CLEAR = 1.5  # half 95 % intervals from 0 beyond which an optional parameter counts as identified (0.3 % by chance)
+_BETTER = 0.02  # relative gain on the validation block that a robust loss needs
+_HELPFUL = 0.005  # relative gain on the validation block that a doubtful parameter needs
+_HOPELESS = 3.0  # predicted loss ratio above which softer friction is not fitted
+_VALIDATION = 0.2  # share of the training recordings in the validation block
 _HELPS = "reduces the validation error"
 _NOT_SHOWN = "not identifiable from these data, fixed at 0"
 
 
 class Stages:
-    """The settings on their way: what one stage chooses, the next ones use."""
+    """A sequence of stages; each stage uses the choices of the earlier ones."""
 
     def __init__(
         self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
@@ -55,12 +55,12 @@ class Stages:
         self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
         self.doubts: list[Doubt] = []
         self.start: Found | None = None
-        self.pilot: Pilot | None = None  # with the settings that were chosen
+        self.pilot: Pilot | None = None  # with the chosen settings
         self._given, self._plain, self._train, self._model, self._fit = settings, bench, dataset.train, model, fit
         self._free = {name: is_open(settings["bench"]["params"], name) for name in OPTIONAL}
         self._interval = dataset.train[0].timestep
         self._step_is_open = settings["bench"].get("timestep") == AUTO
-        if self._step_is_open:  # the longest whole part of a sample interval that is no longer
+        if self._step_is_open:  # the longest one allowed that divides the sample interval
             longest = min(bench.timestep, _COARSEST)
             self._change(timestep=self._interval / math.ceil(self._interval / longest - 1e-9))
         self._order_is_open = settings["bench"].get("second_order") == AUTO
@@ -74,25 +74,29 @@ class Stages:
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         self._small = self._is_small()
         self._pilots: dict[str, Pilot] = {}  # by their settings
-        self._found: Found  # where the last pilot ended
-        self._last: Pilot | None = None  # which one that was
-        self._near: Pilot | None = None  # the one with the loss that was chosen, near the step that was chosen
+        self._found: Found  # result of the last pilot
+        self._last: Pilot | None = None  # the last pilot
+        self._near: Pilot | None = None  # pilot with the chosen loss, corrected to the chosen timestep
         self._first_step, self._coarse_steps = self._step, self._steps
-        # What of the optional parameters is left out; of rivals, which act nearly alike, one is tried at a time.
+        # Optional parameters that are left out. Rivals act nearly alike, so only one of them is tried at a time.
         self._out: set[str] = set(RIVALS[1:]) if all(self._free[name] for name in RIVALS) else set()
         self._noise = Noise.of(self._train)
-        self._lacking = False  # whether the law leaves more than noise
-        self._rounded = False  # whether it leaves what rounding does
+        self._lacking = False  # whether the residual exceeds noise
+        self._rounded = False  # whether encoder rounding explains the residual
         self._validated: dict[str, float] = {}  # errors on the validation block, by the pilot's settings
 
     def _is_small(self) -> bool:
-        """Whether the fit is Levenberg-Marquardt's: then a pilot of it says what is best."""
+        """Return whether the fit is Levenberg-Marquardt with few parameters, so that pilots represent it."""
         coordinates = len(Space(self._bench, self._model, "float64").start)
         of_few = 0 < coordinates <= MOST_COORDINATES and not isinstance(self._model, TorchFriction)
         return isinstance(self._fit, Auto | LevenbergMarquardt) and of_few
 
     def bench(self, free: Collection[str] = ()) -> Bench:
-        """The test stand by now, with these of the optional parameters identified that were open, or as chosen."""
+        """Return the test stand with the choices so far.
+
+        Args:
+            free: Open optional parameters to identify, and no others; empty: as chosen.
+        """
         section = self.settings["bench"]
         params = dict(section.get("params") or {})
         for name in OPTIONAL:
@@ -104,13 +108,13 @@ class Stages:
         return remake(self._plain, params=params, **changed)
 
     def run(self) -> Iterator[Choice]:
-        """All stages."""
+        """Run all stages and yield their choices."""
         yield from self._heed()
         yield from self._weigh()
         yield from self._choose_segments()
         if self._small:
             yield from self._choose_loss()
-            self._shorten()  # what long steps do may look like a delay
+            self._shorten()  # long timesteps act like a delay
             yield from self._choose_free()
             yield from self._choose_step()
         else:
@@ -131,7 +135,7 @@ class Stages:
         yield Choice(option, value, reason)
 
     def _heed(self) -> Iterator[Choice]:
-        """What the given options leave no choice for, which then counts as given."""
+        """Set the options that the given ones determine; later stages treat them as given."""
         for choice in imply(self._given["loss"]):
             section, _, key = choice.option.partition(".")
             yield from self._set(*choice)
@@ -139,7 +143,7 @@ class Stages:
                 self._given = {**self._given, section: {**self._given[section], key: choice.value}}
 
     def _weigh(self) -> Iterator[Choice]:
-        """Precision and weights."""
+        """Choose precision, integration order and weights."""
         if self._order_is_open:
             second = self.settings["bench"]["second_order"]
             why = "parameters hold in continuous time" if second else "parameters hold for this timestep"
@@ -170,7 +174,7 @@ class Stages:
         return {"hinge": "rad", "slide": "m"}[self._bench.joint_type]
 
     def _choose_segments(self) -> Iterator[Choice]:
-        """As long as rollouts stay near the recording, however their initial state is off."""
+        """Choose segments so short that errors of their initial states grow little."""
         longest = self._samples_in(max(_LONGEST, self._model.shortest_segment) if self._small else _SHORT)
         is_open = self._is_open("segments.length")
         if is_open:
@@ -190,13 +194,13 @@ class Stages:
         yield from self._set("segments.length", length, f"{length * self._interval:.3g} s, within which {far}")
 
     def _samples_in(self, seconds: float) -> int:
-        """Sample intervals of a segment: at most so long, within each recording, and with many others beside it."""
+        """Return a segment length in sample intervals, at most `seconds`, that fits each recording and leaves many."""
         shortest = min(log.samples for log in self._train) - 1
         among_many = self._samples // self._bench.nv // _MANY
         return min(max(_FEWEST, min(round(seconds / self._interval), among_many)), shortest)
 
     def _count(self, most_steps: float) -> tuple[int | None, str]:
-        """How many segments are simulated in so many steps, and why."""
+        """Return the number of segments within `most_steps` simulation steps (None for all), and the reason."""
         length, step = self.settings["segments"]["length"], self._first_step
         steps = self._samples * self._interval / step
         if steps <= most_steps:
@@ -206,11 +210,11 @@ class Stages:
         return count, f"{100 * share:.0f} % of all segments, evenly spread: steps of {1e3 * step:.3g} ms are costly"
 
     def _pilot(self, most_steps: float = _FIRST_STEPS, **given: Any) -> Pilot:
-        """A pilot with the settings as they are by now; what was open of the bench is free.
+        """Return a pilot with the settings so far and all open parameters of the bench free.
 
         Args:
-            most_steps: For which segments are left out.
-            given: Options of segments and loss in place of the settings'.
+            most_steps: Most simulation steps, which limit the number of segments.
+            given: Options of segments and loss that replace the settings.
         """
         how = self._how(most_steps, **given)
         same = self._say_how(*how)
@@ -220,15 +224,15 @@ class Stages:
         return self._pilots[same]
 
     def repeat(self, settings: Mapping[str, Any], found: Found) -> Pilot:
-        """The pilot with settings that were chosen before, where it ended."""
+        """Return the pilot with settings and result of an earlier run."""
         chosen = settings["bench"]
-        if self._softness_is_open and chosen["solreffriction"][0] > 2 * chosen["timestep"]:  # not the steps' own
+        if self._softness_is_open and chosen["solreffriction"][0] > 2 * chosen["timestep"]:  # softer than stiff
             self._change(solreffriction=chosen["solreffriction"])
         self._coarse_steps, self.settings, self._found = self._steps, {**settings}, found
         return self._find_pilot()
 
     def _find_pilot(self) -> Pilot:
-        """The pilot by whose equations the fit begins: in first steps, with the residuals of the chosen ones."""
+        """Return the pilot whose equations the fit uses: slopes at the first timestep, residuals at the chosen."""
         chosen = self._steps
         self._change(**self._coarse_steps)
         pilot = self._pilot(_MOST_STEPS)
@@ -239,7 +243,7 @@ class Stages:
 
     @property
     def _steps(self) -> dict[str, Any]:
-        """Options of the bench that shorter steps change."""
+        """Options of the bench that a shorter timestep changes."""
         section = self.settings["bench"]
         return {name: section[name] for name in ("timestep", "solreffriction") if name in section}
 
@@ -247,7 +251,7 @@ class Stages:
         return repr((self._step, self.settings["bench"].get("solreffriction"), how))
 
     def _how(self, most_steps: float, **given: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Segments and loss of a pilot; arguments as in `_pilot`."""
+        """Return segment and loss options of a pilot; arguments as in `_pilot`."""
         usual = {"robust": "none", "robust_scale": 1.0, "refine": True, "encoder_step": self._noise.step}
         loss = dict(self.settings["loss"])
         if loss["encoder_step"] == AUTO and self._noise.step and loss["robust"] in (AUTO, "none"):
@@ -259,7 +263,7 @@ class Stages:
         return segments, {**loss, **given}
 
     def _choose_loss(self) -> Iterator[Choice]:
-        """Least squares, unless the law lacks something and a robust loss predicts a validation block better."""
+        """Choose least squares, unless the model lacks something and a robust loss predicts validation data better."""
         pilot = self._pilot()
         self._go_on(pilot)
         delays = self._found.vector[[label == "bench.delay" for label in self._found.labels]]
@@ -276,7 +280,7 @@ class Stages:
         longer = max(self._horizon, self.settings["segments"]["length"])
         robust = {"robust": "soft_l1", "robust_scale": misfit.scale, "refine": False, "length": longer}
         beyond_it = "larger errors get less weight"
-        if self.settings["loss"]["robust"] not in (AUTO, "none"):  # of these errors; the pilot knew no scale
+        if self.settings["loss"]["robust"] not in (AUTO, "none"):  # a given robust loss needs the scale of these errors
             yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
             return
         wanted = self._lacking and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
@@ -297,13 +301,13 @@ class Stages:
         yield from self._set("loss.refine", True, along)
 
     def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
-        """Fit a pilot from where the last one ended."""
+        """Fit a pilot from the result of the last one."""
         free = len(pilot.space.labels)
         tell(f"automatic settings: fitting {free} parameters in steps of {1e3 * self._first_step:.3g} ms")
         self._found, self._last = pilot.fit(self._found, self._out, thorough), pilot
 
     def _look(self, pilot: Pilot) -> Misfit:
-        """What the law leaves of the segments where the pilot ended."""
+        """Return the misfit in the segments at the last result."""
         return self._measure(pilot.residuals(self._found))
 
     def _measure(self, errors: Float[np.ndarray, "batch time nv"]) -> Misfit:
@@ -311,16 +315,16 @@ class Stages:
 
     @property
     def _horizon(self) -> int:
-        """Samples of a rollout that judges."""
+        """Samples of an evaluation rollout."""
         return self._samples_in(float(self._given["evaluation"]["horizons"][0]))
 
     def _choose_softness(self, pilot: Pilot) -> Generator[Choice, None, Pilot]:
-        """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better."""
+        """Choose dry friction as stiff as the timestep allows, or MuJoCo's default where that fits better."""
         why = "the model has no friction constraint"
         if np.any(self._model.constrained):
             stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
             other, soft = pilot.simulate(self.bench(OPTIONAL)), self._found
-            ahead, loss = pilot.approaching(other, soft).step(soft)  # as far off as slopes of stiff friction are
+            ahead, loss = pilot.approaching(other, soft).step(soft)  # a rough prediction with stiff slopes
             if (ratio := loss / soft.loss) < _HOPELESS:
                 soft = soft._replace(vector=soft.vector + ahead)
                 soft = pilot.approaching(other, soft).fit(soft, self._out)
@@ -335,13 +339,13 @@ class Stages:
         return pilot
 
     def _validate(self, **given: Any) -> float:
-        """Mean error of position on a block of the training recordings, of a fit that has not seen it.
+        """Return the mean position error on a block of the training recordings that the fit does not use.
 
         Args:
-            given: As `_pilot` takes it.
+            given: See `_pilot`.
         """
         same = repr((self.settings["bench"], self._how(_FIRST_STEPS, **given), sorted(self._out)))
-        if same not in self._validated:  # a stage asks again what the one before has asked, with what that chose
+        if same not in self._validated:  # stages repeat the question of an earlier stage
             pilot = self._pilot(**given)
             kept, block = hold_back(pilot.segments, self._train)
             found = pilot.fit(self._found, self._out, kept=kept)
@@ -350,7 +354,7 @@ class Stages:
         return self._validated[same]
 
     def _choose_encoder(self) -> Iterator[Choice]:
-        """Errors within half an encoder's step do not count where rounding is all that is left."""
+        """Ignore errors within half an encoder step if rounding explains the residual."""
         step = self._noise.step
         counts = bool(step) and self._rounded and self.settings["loss"]["robust"] in (AUTO, "none")
         if not (counts and self._is_open("loss.encoder_step")):
@@ -365,14 +369,14 @@ class Stages:
             yield Choice("loss.velocity", self.settings["loss"]["velocity"], f"{told}{self._unit}")
 
     def _velocity_beside_rounding(self) -> float:
-        """Weight of velocities where errors of position count beyond half an encoder's step."""
+        """Return the weight of velocities when only position errors beyond half an encoder step count."""
         if not self._is_open("loss.velocity"):
             return self.settings["loss"]["velocity"]
         share = float(np.square(soft_width(self._noise.step) / self._noise.position).mean())
         return float(f"{share * self._noise.velocity_weight:.3g}")
 
     def _choose_free(self) -> Iterator[Choice]:
-        """What of the bench recordings show: its interval does not hold 0, or it helps to predict others."""
+        """Identify optional parameters that differ clearly from 0, or that reduce the validation error."""
         free = [name for name, is_free in self._free.items() if is_free]
         pilot, told = self._near, dict[str, str]()
         assert pilot is not None
@@ -381,13 +385,13 @@ class Stages:
         if tried:
             told |= self._judge_rivals(pilot)
         doubtful = self._doubt(told)
-        # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
+        # If the model lacks something, intervals are wide, and a doubtful parameter may compensate and still help.
         helping = self._validate() if doubtful and self._lacking else math.inf
         self._out |= doubtful
         share = helping / self._validate() if math.isfinite(helping) else 1.0
         if helps := share < 1 - _HELPFUL:
             self._out -= doubtful
-        elif self._out != tried:  # what was free and is not has bent the others
+        elif self._out != tried:  # parameters that are now fixed had biased the others
             self._go_on(pilot)
             if more := self._doubt(told):
                 self._out |= more
@@ -400,7 +404,7 @@ class Stages:
             yield Choice(f"bench.params.{name}.identify", shown, f"{why} ({told[name]})" + beside * (why == _HELPS))
 
     def _judge_rivals(self, pilot: Pilot) -> dict[str, str]:
-        """Leave out the rival that fits worse, or that does not show; returns what is told of that one."""
+        """Leave out the rival that is not identifiable or fits worse; return the reason by its name."""
         ends = dict(zip(RIVALS, (self._found, pilot.foresee(self._found, *RIVALS)), strict=True))
         shown = {name: self._is_shown(end, name) for name, end in ends.items()}
         best, other = sorted(RIVALS, key=lambda name: (not shown[name][0], ends[name].loss))
@@ -408,14 +412,14 @@ class Stages:
         return {other: shown[other][1] + f"; {best} fits better" * shown[other][0]}
 
     def _doubt(self, told: dict[str, str]) -> set[str]:
-        """Optional parameters that do not show where the last pilot ended; writes what is told of each."""
+        """Return optional parameters that are not identifiable at the last result; add all their values to `told`."""
         shown = {name: self._is_shown(self._found, name) for name, free in self._free.items() if free}
         shown = {name: of for name, of in shown.items() if name not in self._out}
         told |= {name: said for name, (_, said) in shown.items()}
         return {name for name, (is_shown, _) in shown.items() if not is_shown}
 
     def _is_shown(self, found: Found, name: str) -> tuple[bool, str]:
-        """Whether an optional parameter is, and its values with half their intervals."""
+        """Return whether an optional parameter is identifiable, and its values with half intervals as text."""
         param = self._bench.params[name]
         own = [at for at, label in enumerate(found.labels) if label.partition("/")[0] == f"bench.{name}"]
         values, halves = (np.asarray(param.from_coordinate(of[own], np)) for of in (found.vector, found.half))
@@ -428,12 +432,12 @@ class Stages:
     def _identify(self, name: str, whether: bool) -> None:
         params = dict(self.settings["bench"]["params"])
         own = {**self._given["bench"]["params"][name], "identify": whether}
-        # Looked for and not found, it is known to be 0 and not what it began with.
+        # A pilot found it not identifiable: it is 0 instead of its initial value.
         params[name] = own if whether or not self._small else {**own, "init": 0.0}
         self.settings["bench"] = {**self.settings["bench"], "params": params}
 
     def _choose_step(self) -> Iterator[Choice]:
-        """Halve the step until half of it would move no parameter by more than a third of half its interval."""
+        """Halve the timestep until a further halving changes no parameter by more than a third of half its interval."""
         reason, largest = self._shorten()
         if largest > _MOVES:
             self.doubts.append(
@@ -447,9 +451,10 @@ class Stages:
             yield Choice("bench.timestep", self._step, reason)
 
     def _shorten(self) -> tuple[str, float]:
-        """Halve the step as often as what was found needs it; returns why no further, and what half of it moves.
+        """Halve the timestep as often as the result needs it, with slopes of the first timestep: they compile once.
 
-        Slopes stay those of the first step, so that they are compiled once.
+        Returns:
+            The reason to stop, and the largest change by a further halving, in half intervals.
         """
         reason, largest, times = "", 0.0, 1
         if self._near is None:
@@ -459,7 +464,7 @@ class Stages:
                 self._go_on(self._near)
         while self._step_is_open:
             bench = self.bench(OPTIONAL)
-            # Softness that was stated stays.
+            # A given softness is kept.
             softness = None if self._softness_is_open else bench.solreffriction
             for _ in range(times):
                 bench = halve_step(bench, softness)
@@ -478,25 +483,25 @@ class Stages:
                 self._change(solreffriction=bench.solreffriction)
             self._found = self._found._replace(vector=self._found.vector + ahead)
             self._near = near
-            # An error of second order falls to a quarter each time; the last halving is there to see that.
+            # A second-order error falls to a quarter with each halving; the last halving checks that.
             most = _ROUNDS - round(math.log2(self._first_step / self._step))
             times = max(1, min(most, math.ceil(math.log(min(largest, 4.0**_ROUNDS) / _MOVES, 4)) - 1))
         return reason, largest
 
     def _change(self, **options: Any) -> dict[str, Any]:
-        """Take other options of the bench; returns the section before."""
+        """Set options of the bench; return the previous section."""
         before = self.settings["bench"]
         self.settings["bench"] = {**before, **options}
         return before
 
     @property
     def _step(self) -> float:
-        """Of the simulation [s]."""
+        """Timestep of the simulation [s]."""
         step = self.settings["bench"].get("timestep")
         return self._plain.timestep if step in (None, AUTO) else step
 
     def _leave_out(self) -> Iterator[Choice]:
-        """What a fit without a pilot does not look for."""
+        """Fix the options that only pilots can choose."""
         for name in [name for name, free in self._free.items() if free]:
             self._identify(name, False)
             why = "not estimated in this fit; fit a model with few parameters with fit=lm first, then set it"
@@ -513,9 +518,9 @@ class Stages:
 
 
 def hold_back(segments: Segments, logs: Sequence[Log]) -> tuple[Bool[np.ndarray, "segments"], list[Log]]:
-    """Which segments to fit, and a validation block of recordings, which they do not reach into.
+    """Return which segments to fit, and a validation block of recordings that they do not overlap.
 
-    Every fifth of many recordings, the last fifth of each of few.
+    The block is every fifth recording, or the last fifth of each if there are fewer than five.
     """
     every = round(1 / _VALIDATION)
     cuts = [log.samples * bool(at % every) for at, log in enumerate(logs)]

@@ -1,1 +1,1 @@
-"""Recordings to logs: one file a format, each with a source class that `conf/data/` names and that loads a data set."""
+"""Data sources, the file formats they read, and the cleaning that turns recordings into logs."""

@@ -1,4 +1,4 @@
-"""Arrays that are cheap to keep and slow to make, in a folder of the user."""
+"""Cache on disk for arrays that are slow to compute."""
 
 import hashlib
 import io
@@ -17,14 +17,14 @@ _log = logging.getLogger(__name__)
 
 
 def cache_folder(setting: str | None) -> Path | None:
-    """Folder that `cache_dir` means: `user` the operating system's cache of this user, a path itself, None no cache."""
+    """Return the folder for `cache_dir`: `user` for the operating system's user cache, a path, or None for no cache."""
     if setting is None:
         return None
     return Path(platformdirs.user_cache_dir("frictionzoo") if setting == "user" else setting).expanduser()
 
 
 def digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 over the bytes of the arrays, in their order."""
+    """Return the SHA-256 of the bytes of the arrays, in their order."""
     total = hashlib.sha256()
     for values in arrays.values():
         total.update(np.ascontiguousarray(values).tobytes())
@@ -32,7 +32,13 @@ def digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def cached(path: Path | None, names: Sequence[str], make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays of these names in an .npz file, made in this order where it is missing or damaged. None: not kept."""
+    """Read named arrays from an .npz file; if it is missing or damaged, make and save them.
+
+    Args:
+        path: File of the arrays; None for no cache.
+        names: Names of the arrays, in the order of `make`.
+        make: Function that computes the arrays.
+    """
     kept = None if path is None else _read(path, names)
     if kept is None:
         kept = make()
@@ -42,7 +48,7 @@ def cached(path: Path | None, names: Sequence[str], make: Callable[[], dict[str,
 
 
 def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
-    """The arrays of an intact file, or None."""
+    """Return the arrays of an intact file, otherwise None."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in names}
@@ -57,7 +63,7 @@ def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
 
 
 def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write so that nobody ever sees half a file; a cache that cannot be written costs time only."""
+    """Write the arrays atomically; a failed write only costs time."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, sha256=np.array(digest(arrays)), **arrays)
     try:

@@ -1,7 +1,7 @@
-"""From recordings as they come to logs: uniform in time, without gaps and, where asked for, without spikes.
+"""Cleaning of recordings to logs, which are uniform in time, without gaps and, on request, without spikes.
 
-Nothing is changed in silence: each change is a sentence in `Log.repairs`. What is clean already passes bit for bit. The
-delay of the command stays: it is a parameter of the fit.
+`Log.repairs` lists each change in a sentence. Clean data stays the same bit for bit. The delay of the command stays,
+because it is a parameter of the fit.
 """
 
 import re
@@ -37,43 +37,43 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "spikes": ("repair", "drop", "keep"),
     "velocity": ("measured", "estimated", "auto"),
 }
-RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # how these are found on another grid
+RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # resampling of these signals
 EXTRAS = tuple(signal for signal in SIGNALS if signal not in ("time", "qpos", "qvel", "ctrl"))
-FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
-MOST_FINER = 1000.0  # factor by which resampling may make an interval shorter; more adds nothing but length
-FEWEST = 50  # intervals, from which on they show whether times are rounded
-SEVERAL = 5  # times that each of their lengths occurs at the least; a gap is there once
-ROUNDED = 0.55  # of the step by which times are rounded, that one is off by at the most
+FOLLOWED = 1e-6  # tolerance of equal times, as a share of the median interval
+MOST_FINER = 1000.0  # largest upsampling factor; more would only add samples
+FEWEST = 50  # fewest intervals that show whether times are rounded
+SEVERAL = 5  # fewest occurrences of each rounded interval; a gap may occur once
+ROUNDED = 0.55  # largest error of a rounded time, as a share of the rounding step
 TIMES_ROUNDED = "times are rounded to"
-"""How the sentence on such times begins."""
+"""Beginning of the repair sentence for rounded times."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 @dataclass(frozen=True)
 class Cleaning(Described):
-    """How recordings become logs.
+    """Options of the cleaning.
 
     Attributes:
-        step: Sample interval of the logs [s]; None for a recording's own, which is the median interval where it varies
-            by more than a log tolerates. Recordings that a fit takes together need the same.
-        resample: How positions, velocities and extra signals are found between samples: `linear`, or `cubic` splines.
-            The drive's enable signal is held; commands become the mean of what was held until the next sample, which
-            neither delays nor advances them.
-        gap: An interval longer than this many medians splits a recording, and so does a longer run of NaN; shorter ones
-            are interpolated.
-        wrap: Turn within which the positions are an angle, which goes on instead [rad]; None for positions as they are.
-        spikes: What becomes of isolated spikes of one sample or two: `repair` interpolates them in all signals, of a
-            held one those far beyond its range; `drop` leaves a recording out whose position has one; `keep` keeps
-            them.
-        velocity: `measured`; `estimated` from the position without phase lag; `auto`: measured where there is one, and
-            compared with the position; estimated for a joint whose column is missing, constant or shows no motion.
-        cutoff: Cut-off frequency of that estimate [Hz].
+        step: Sample interval of the logs [s]; None for the recording's interval (the median, if it varies by more than
+            `JITTER`). All recordings of a fit need the same interval.
+        resample: Interpolation of positions, velocities and extra signals: `linear`, or `cubic` splines. The drive's
+            enable signal is held. A command becomes the mean of the held command over each new interval, which neither
+            delays nor advances it.
+        gap: Longest interval, in medians, that does not split a recording. Longer runs of NaN split it too; shorter
+            ones are interpolated.
+        wrap: Period of wrapped positions, which are unwrapped [rad]; None for no change.
+        spikes: Treatment of isolated spikes of one or two samples. `repair` interpolates them in continuous
+            signals and replaces outliers of commands by the previous value; `drop` leaves out recordings with a spike
+            in the position; `keep` keeps them.
+        velocity: `measured`; `estimated` from the position without phase lag; or `auto`: measured and compared with
+            the position, but estimated for joints whose velocity is missing, constant or shows no motion.
+        cutoff: Cut-off frequency of the velocity estimate [Hz].
         order: Order of its filter, which runs forwards and backwards.
-        velocity_lag: Time by which the measured velocity lags the position, which is taken out [s]; `auto` finds it;
-            None leaves it.
-        command_lag: Time by which the recorded commands are late, which is taken out [s]; None leaves it. It is the
-            recorder's; by which a command acts late is the bench's `delay`.
-        shortest: Shorter pieces are left out [s].
+        velocity_lag: Lag of the measured velocity behind the position, to be removed [s]; `auto` measures it; None
+            removes nothing.
+        command_lag: Lag of the recorded commands due to the recorder, to be removed [s]; None removes nothing. The
+            bench's `delay` is the delay of a command's effect.
+        shortest: Shortest piece to keep [s].
 
     Raises:
         ConfigError: A value is impossible.
@@ -114,12 +114,12 @@ Signals = Mapping[str, Float[np.ndarray, "time columns"]]
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording on its way to a log: its samples, and what was changed in them.
+    """Stretch of a recording during cleaning.
 
     Attributes:
         time: Sample times [s].
         signals: Samples of each signal.
-        repairs: What was changed, a sentence each.
+        repairs: Changes so far, a sentence each.
         without_velocity: Joints, by number, whose qvel is estimated from qpos.
     """
 
@@ -129,19 +129,19 @@ class Piece:
     without_velocity: tuple[int, ...] = ()
 
     def say(self, *sentences: str) -> "Piece":
-        """The same with more said about it."""
+        """Return the same piece with further repair sentences."""
         return replace(self, repairs=self.repairs + sentences)
 
     def keep(self, kept: Bool[np.ndarray, "time"] | slice) -> "Piece":
-        """Some of its samples."""
+        """Return a piece with only the kept samples."""
         return replace(self, time=self.time[kept], signals={name: v[kept] for name, v in self.signals.items()})
 
 
 def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
-    """The logs in a recording, one for each stretch without a gap, in their order; none where all of it is left out.
+    """Clean a recording to logs, one for each stretch without a gap, in order; empty if all of it is left out.
 
     Raises:
-        LogError: It lacks a signal or cannot be repaired, or its velocity has another unit than its position.
+        LogError: A signal is missing, a repair is impossible, or the units of velocity and position differ.
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
@@ -159,14 +159,14 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
 
 
 def summarise_repairs(logs: Sequence[Log]) -> list[str]:
-    """What cleaning changed in many logs, a line for each kind of repair, the most frequent first."""
+    """Return a line for each kind of repair in many logs, the most frequent first."""
     kinds = Counter(NUMBER.sub("#", sentence) for log in logs for sentence in log.repairs)
     examples = {NUMBER.sub("#", sentence): sentence for log in reversed(logs) for sentence in log.repairs}
     return [f"{count} of {len(logs)} logs: {examples[kind]}" for kind, count in kinds.most_common()]
 
 
 def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -> Log:
-    """A stretch without gaps as a log."""
+    """Convert a stretch without gaps to a log."""
     piece = _fill_nan(piece)
     piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
     piece = _shift_velocity(piece, name, cleaning)
@@ -194,7 +194,7 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
 
 
 def _even_out(piece: Piece) -> Piece:
-    """With the even times that were rounded: then there are two intervals, and none is off by more than half a step."""
+    """Restore even times before rounding: two interval lengths, each time at most `ROUNDED` rounding steps off."""
     steps = np.diff(piece.time)
     interval = float(piece.time[-1] - piece.time[0]) / max(len(steps), 1)
     if len(steps) < FEWEST or not interval > 0:
@@ -226,10 +226,10 @@ def _unwrap(piece: Piece, turn: float | None) -> Piece:
 
 
 def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """Without velocities that are to be estimated: 0 takes the place of one joint's, nothing that of all.
+    """Drop velocities that are to be estimated: 0 for single joints, no qvel if it is to be estimated for all.
 
     Raises:
-        LogError: One is to be measured, and its column is missing, constant or shows no motion.
+        LogError: With `velocity=measured`, a velocity is missing, constant or shows no motion.
     """
     qpos, qvel = piece.signals["qpos"], piece.signals.get("qvel")
     if qvel is None or cleaning.velocity == "estimated":
@@ -252,7 +252,7 @@ def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 
 def _split(piece: Piece, gap: float) -> list[Piece]:
-    """The stretches between gaps, resets of the clock and long runs of NaN."""
+    """Split at gaps, resets of the clock and long runs of NaN."""
     pieces = _split_at(
         piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or goes back"
     )
@@ -267,11 +267,11 @@ def _split_at(piece: Piece, breaks: Sequence[int] | np.ndarray, sentence: str) -
 
 
 def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
-    """The stretches between runs of NaN that are longer than a gap, or touch an end, where nothing is on one side."""
+    """Cut out runs of NaN that are longer than a gap, or touch an end, where interpolation is impossible."""
     lost = ~np.all([np.isfinite(values).all(axis=1) for values in piece.signals.values()], axis=0)
     for first, last in np.flatnonzero(np.diff(lost, prepend=False, append=False)).reshape(-1, 2):
         ends = first == 0 or last == len(lost)
-        # So many samples missing make an interval of one more.
+        # n missing samples make an interval of n + 1 steps.
         lost[first:last] = ends or last - first + 1 > gap
     if not lost.any():
         return [piece]
@@ -281,7 +281,7 @@ def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
 
 
 def _fill_nan(piece: Piece) -> Piece:
-    """Short runs of NaN between samples interpolated, each signal in its own way."""
+    """Fill short runs of NaN: held signals keep the last value, the others are interpolated."""
     filled, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
         bad = ~np.isfinite(values)
@@ -295,7 +295,7 @@ def _fill_nan(piece: Piece) -> Piece:
 
 
 def _repair_spikes(piece: Piece) -> Piece:
-    """Without the spikes of all signals that cannot jump and come back, and outliers of held commands."""
+    """Interpolate spikes of continuous signals, and replace outliers of held commands by the previous value."""
     repaired, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
         if name in COMMANDS:
@@ -312,7 +312,7 @@ def _repair_spikes(piece: Piece) -> Piece:
 
 
 def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """The measured velocity moved to where it was measured; the end, where there is none then, is cut."""
+    """Shift the measured velocity earlier by its lag, and cut the end without samples."""
     if cleaning.velocity_lag is None or cleaning.velocity == "estimated" or "qvel" not in piece.signals:
         return piece
     lag = _find_lag(piece, name) if isinstance(cleaning.velocity_lag, str) else float(cleaning.velocity_lag)
@@ -327,7 +327,7 @@ def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 
 def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """The commands moved to when they were given; the end, where there is none then, is cut."""
+    """Shift the commands earlier by their lag, and cut the end without samples."""
     if cleaning.command_lag is None:
         return piece
     later = piece.time + cleaning.command_lag
@@ -342,7 +342,7 @@ def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 
 def _find_lag(piece: Piece, name: str) -> float:
-    """Median over the joints of the lag of the measured velocity [s]."""
+    """Return the lag of the measured velocity, median over the joints [s]."""
     qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
     found = [find_velocity_lag(piece.time, repair_spikes(q), v) for q, v in zip(qpos.T, qvel.T, strict=True)]
     lags = [lag[0] for lag in found if lag is not None]
@@ -355,7 +355,7 @@ def _find_lag(piece: Piece, name: str) -> float:
 
 
 def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """On a uniform grid: that of `step`, or of the median interval where the clock varies too much."""
+    """Resample to a uniform grid of `step`, or of the median interval if the clock varies too much."""
     steps = np.diff(piece.time)
     interval = float(np.median(steps))
     uniform = bool((np.abs(steps / interval - 1) <= JITTER).all())
@@ -386,18 +386,18 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 
 def _each(change: Callable[..., np.ndarray], values: Float[np.ndarray, "time columns"], *more: Any) -> np.ndarray:
-    """What a function makes of each column."""
+    """Apply a function to each column."""
     return np.stack([change(column, *more) for column in values.T], axis=1)
 
 
 def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method: str) -> Float[np.ndarray, "grid"]:
-    """A signal at other times."""
+    """Resample a signal at other times."""
     if method == "held":
         close = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         return values[np.maximum(np.searchsorted(time, at + close, side="right") - 1, 0)]
     if method == "cubic" and len(time) > 3:
         return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
-    if method == "mean":  # of a held signal from each instant of a uniform grid to the next
+    if method == "mean":  # of the held signal over each interval of the uniform grid
         step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
         ends = np.append(time, time[-1] + step)
         integral = np.append(0.0, np.cumsum(values * np.diff(ends)))
@@ -406,7 +406,7 @@ def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method:
 
 
 def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """With the velocities that are to be estimated, and the measured ones compared with the position."""
+    """Estimate missing velocities, and compare measured ones with the position."""
     if cleaning.velocity == "measured" and "qvel" not in piece.signals:
         raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
     if "qvel" in piece.signals and cleaning.velocity == "auto":

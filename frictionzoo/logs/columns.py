@@ -1,4 +1,4 @@
-"""A file's columns as signals: which they are, in which unit, and at which times."""
+"""Conversion of a file's columns to signals in SI units at common times."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -15,9 +15,9 @@ from frictionzoo.logs.units import ratio, to_si
 __all__ = ["Proposal", "list_names", "pick", "propose", "to_recording"]
 
 NEEDED = ("time", "qpos", "ctrl")
-LARGEST = 1e9  # in any unit: what no signal of a drive reaches, and a damaged number most likely does
-LONGEST = 1e12  # s, thirty thousand years
-STEPS = (5e-6, 100.0)  # s between samples: 0.2 s counted in days is below, 1 ms counted in us or ns above
+LARGEST = 1e9  # largest plausible value of any signal; damaged numbers usually exceed it
+LONGEST = 1e12  # s; thirty thousand years
+STEPS = (5e-6, 100.0)  # s between samples; refuses 0.2 s read in days (below) and 1 ms read in us or ns (above)
 Headers = dict[str, tuple[str, ...]]
 
 
@@ -28,24 +28,24 @@ def to_recording(
     simulated: bool | None,
     listed: Collection[str] = (),
 ) -> Recording:
-    """The signals of a recording, in SI units and at the times of `qpos`.
+    """Convert a table to a recording with signals in SI units at the times of `qpos`.
 
-    Time starts at 0. Signals that were recorded at times of their own are brought to those of `qpos`: commands and
-    `enable` are held until the next one, and the first acts before itself; measurements are interpolated. Samples that
-    are missing, repeated or out of order are left to cleaning.
+    Time starts at 0. Signals recorded at other times are resampled to those of `qpos`: commands and `enable` are held
+    until the next sample, and their first value also holds before it; measurements are interpolated. Missing, repeated
+    or disordered samples stay for cleaning.
 
     Args:
-        table: What a file holds.
-        columns: Header, or list of headers, of each signal. Without those of `qpos` and `ctrl`, and of `time` where
-            the table does not know it, the columns are taken by their names if these leave no doubt.
-        units: Unit of each signal; SI, or what the format lays down, where there is none.
+        table: Contents of a file.
+        columns: Header, or list of headers, of each signal. If `time`, `qpos` or `ctrl` is missing here and in the
+            table's times, all columns are inferred from unambiguous names.
+        units: Unit of each signal; the default is the format's unit, otherwise SI.
         simulated: Whether a simulator made it; None: not stated.
         listed: Signals whose headers a user listed.
 
     Raises:
-        ConfigError: A signal or a unit is unknown, or headers are no list of names.
-        LogError: A column is missing, holds no numbers or has another length than its time, a sample is absurdly large,
-            a time of its own runs backwards, or the names leave doubt.
+        ConfigError: A signal or unit is unknown, or headers are not a list of names.
+        LogError: A column is missing, contains no numbers or differs in length from its time, a sample is absurdly
+            large, a separate time column runs backwards, or the names are ambiguous.
     """
     _refuse_unread(table, columns)
     headers = _complete(table, _check(columns))
@@ -64,7 +64,7 @@ def to_recording(
 
 
 def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
-    """LogError where a column that is called like a signal holds no numbers; without it another would stand for it."""
+    """Refuse an unusable column with the name of a signal by a LogError; otherwise another column would replace it."""
     for signal in SIGNALS:
         for header in (signal, BAM.get(signal, signal)):
             if header in table.refused and columns.get(signal) is None and signal not in table.columns:
@@ -75,7 +75,7 @@ def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
 def _refuse_absurd(
     name: str, signal: str, headers: Sequence[str], values: Float[np.ndarray, "time columns"], largest: float
 ) -> None:
-    """LogError where a sample is larger than any of its signal can be; NaN is a sample that is missing."""
+    """Refuse samples above the largest plausible value with a LogError; NaN is a missing sample."""
     absurd = np.abs(values) > largest
     if absurd.any():
         sample, column = np.argwhere(absurd)[0].tolist()
@@ -86,7 +86,7 @@ def _refuse_absurd(
 
 
 def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:
-    """A column; LogError where it is missing or holds no numbers."""
+    """Return a column; LogError if it is missing or contains no numbers."""
     if header in table.refused:
         raise LogError(table.refused[header])
     if header not in table.columns:
@@ -96,7 +96,7 @@ def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:
 
 
 def _check(columns: Mapping[str, Any]) -> Headers:
-    """Headers of the signals that are named."""
+    """Return the headers of the given signals as tuples."""
     for key in set(columns) - set(SIGNALS):
         raise ConfigError(f"data.columns.{key}: unknown signal; {closest(str(key), SIGNALS)}")
     headers = {key: list_names(f"columns.{key}", given) for key, given in columns.items() if given is not None}
@@ -106,7 +106,7 @@ def _check(columns: Mapping[str, Any]) -> Headers:
 
 
 def list_names(option: str, given: Any) -> tuple[str, ...]:
-    """What an option of `data` says, a name or a list of names, as a tuple; ConfigError where it is neither."""
+    """Return an option of `data`, a name or a list of names, as a tuple; ConfigError if it is neither."""
     if isinstance(given, str):
         return (given,)
     if not isinstance(given, Sequence):
@@ -115,7 +115,7 @@ def list_names(option: str, given: Any) -> tuple[str, ...]:
 
 
 def _complete(table: Table, headers: Headers) -> Headers:
-    """The headers with what the table itself tells of those that are missing."""
+    """Add missing required headers from the table's times, or from unambiguous names."""
     if "time" not in headers and headers.get("qpos", ("",))[0] in table.times:
         headers = {**headers, "time": (table.times[headers["qpos"][0]],)}
     missing = [signal for signal in NEEDED if signal not in headers]
@@ -135,7 +135,7 @@ def _complete(table: Table, headers: Headers) -> Headers:
 
 
 class _Clock:
-    """The times of `qpos`, which have that header, and the way there from those of other signals."""
+    """Times of `qpos`, and the resampling of other signals to these times."""
 
     def __init__(self, table: Table, header: str, units: Mapping[str, str]) -> None:
         self.table, self.header, self.units = table, header, units
@@ -146,7 +146,7 @@ class _Clock:
         _check_clock(table.name, header, ticks, self.time)
 
     def bring(self, signal: str, header: str) -> Float[np.ndarray, "time"]:
-        """A signal in SI units at the times of `qpos`."""
+        """Convert a signal to SI units at the times of `qpos`."""
         values = to_si(pick(self.table, header), self._ratio(signal, header))
         own = self.table.times.get(header, self.header)
         times = self._seconds(own)
@@ -169,14 +169,14 @@ class _Clock:
             f"{signal} {'held' if held else 'interpolated linearly'} from {len(times)} samples to the "
             f"{len(self.time)} times of qpos"
         )
-        if held:  # the last value at or before each time; the first one before all of them
+        if held:  # last value at or before each time; before the first sample, the first value
             return values[np.maximum(np.searchsorted(times, self.time, side="right") - 1, 0)]
         return np.interp(self.time, times, values)
 
     def _seconds(self, header: str) -> Float[np.ndarray, "rows"]:
-        """A time column in seconds since the first sample of `qpos`; whole numbers are subtracted exactly."""
+        """Return a time column in seconds since the first sample of `qpos`; whole numbers are subtracted exactly."""
         ticks = pick(self.table, header)
-        with np.errstate(over="ignore"):  # an absurd time, which is told
+        with np.errstate(over="ignore"):  # `to_recording` refuses absurd times
             since = ticks - self.start
         return to_si(since, self._ratio("time", header))
 
@@ -186,7 +186,7 @@ class _Clock:
 
 
 def _check_clock(name: str, header: str, ticks: Real[np.ndarray, "time"], time: Float[np.ndarray, "time"]) -> None:
-    """LogError where a time is a date written as one whole number, 20240131235959, or is counted in another unit."""
+    """Refuse a date written as one whole number (20240131235959), or a time in another unit, with a LogError."""
     known = np.isfinite(ticks)
     if known.sum() < 2:
         return

@@ -1,17 +1,17 @@
-"""How late the command acts.
+"""Estimate of the delay from a command to its effect.
 
-A delay of a command cannot be read off a correlation as that of a sensor can: inertia and damping lag too.
+Unlike a sensor's delay, it cannot be read from a correlation: inertia and damping cause a lag too.
 
-For a torque command, the acceleration tells: it is regressed on the delayed command, velocity, its sign and gravity,
-all through the same zero-phase filter, and the delay that leaves the least is taken.
+For a torque command, the acceleration is regressed on the delayed command, the velocity, its sign and gravity, all
+from signals behind the same zero-phase filter. The delay with the smallest residual is the estimate.
 
-A position command acts through a controller, and over a smooth motion its delay looks like more damping. What tells
-them apart is their effect on the motion over seconds. So the drive
+A position command acts through a controller. In smooth motion its delay looks like additional damping; only motion
+over seconds separates the two. Therefore the drive
 
     qacc = stiffness * e(t - delay) - damping * qvel - dry * sign(qvel) - gravity * sin(qpos) + offset
 
-is rolled out from measured states, `e` being the command's distance to the position, limited as a motor's voltage is,
-and its six numbers and the delay are found by Gauss-Newton.
+is rolled out from measured states. `e` is the difference of command and position, limited as a motor's voltage.
+Damped Gauss-Newton fits the delay and six parameters: the five above and the limit.
 """
 
 from collections.abc import Sequence
@@ -25,38 +25,38 @@ from jaxtyping import Float, Int
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.signals import GAP, Signal, estimate_velocity, find_breaks, regular_stretch, repair_spikes
 
-FOLLOWS = 0.5  # correlation with the position from which on a command is one of position
-EARLIEST, LATEST = -0.03, 0.17  # s, searched
-MARGIN = 0.002  # s from those ends within which a delay counts as not found
-SPREAD = 0.03  # s; delays whose middle half is wider apart are not told
+FOLLOWS = 0.5  # correlation with the position above which a command is a position command
+EARLIEST, LATEST = -0.03, 0.17  # s; search interval
+MARGIN = 0.002  # s; a delay closer to an end of the search interval counts as not found
+SPREAD = 0.03  # s; estimates with a larger interquartile range are rejected
 
-RECORDINGS = 32  # of a torque drive, spread evenly
-MOVING = 0.05  # share of the top speed under which dry friction may hold the joint
-UNEXPLAINED = 0.5  # largest share of the acceleration's variance that a torque drive may leave
+RECORDINGS = 32  # most recordings of a torque drive, evenly spread
+MOVING = 0.05  # share of the top speed below which dry friction may hold the joint
+UNEXPLAINED = 0.5  # largest share of the acceleration's variance in the residual of a torque drive
 
-STEP = 0.0025  # s, of the simulation
-WINDOW = 4.5  # s; in 1.5 s, delays of one drive scattered three times as wide
-SHORTEST = 1.0  # s
-BEFORE = 0.2  # s of commands before a window, at least as long as the longest delay
-GROUPS, WINDOWS = 12, 8  # at most so many groups, of so many windows
+STEP = 0.0025  # s; timestep of the simulation
+WINDOW = 4.5  # s; with 1.5 s, delays of one drive scattered three times as much
+SHORTEST = 1.0  # s; shortest window
+BEFORE = 0.2  # s of commands before a window, at least the longest delay
+GROUPS, WINDOWS = 12, 8  # most groups, and most windows a group
 ITERATIONS = 25
-OUTLIER = 0.02  # share of the spread of the positions from which on an error counts less than its square
-FIT = 0.3  # largest error, as a share of the same, of a drive that explains its windows
-LOGARITHMIC = 4  # of the parameters, the first so many are positive and sought as logarithms
+OUTLIER = 0.02  # share of the spread of the positions above which the Huber loss is linear
+FIT = 0.3  # largest root of the mean loss, as a share of the spread of the positions, of an accepted fit
+LOGARITHMIC = 4  # number of leading parameters that are positive and fitted as logarithms
 START = (800.0, 40.0, 5.0, 1.0, 0.0, 0.0, 0.02)  # stiffness, damping, dry, limit, gravity, offset, delay
-LONGEST_STEP = np.array([1.0, 1.0, 1.0, 1.0, 50.0, 50.0, 0.03])  # of one iteration, in the same order
-DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 0.2 * STEP])  # for the derivatives
+LONGEST_STEP = np.array([1.0, 1.0, 1.0, 1.0, 50.0, 50.0, 0.03])  # largest step of an iteration, in the same order
+DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 0.2 * STEP])  # steps of finite differences
 
 
 class Delay(NamedTuple):
-    """How late a command acts.
+    """Delay from a command to its effect.
 
     Attributes:
-        seconds: Median over recordings, or over groups of them [s].
+        seconds: Median over recordings or groups [s].
         low: Lower quartile [s].
         high: Upper quartile [s].
-        estimates: How many there are of each.
-        command: `position` or `torque`: what the command seems to ask for.
+        estimates: Number of recordings or groups with an estimate.
+        command: Detected type of the command, `position` or `torque`.
     """
 
     seconds: float
@@ -71,9 +71,9 @@ class Windows(NamedTuple):
 
     Attributes:
         qpos: Measured position [rad or m].
-        qvel: Velocity at the start, estimated [rad/s or m/s].
-        ctrl: The command, `BEFORE` earlier on.
-        group: To which group each belongs.
+        qvel: Estimated velocity at the start [rad/s or m/s].
+        ctrl: Command, from `BEFORE` seconds before the start on.
+        group: Group of each window.
     """
 
     qpos: Float[np.ndarray, "windows time"]
@@ -83,11 +83,17 @@ class Windows(NamedTuple):
 
 
 def estimate_delay(recordings: Sequence[Recording], joint: int = 0) -> Delay | None:
-    """Time from a command to its effect, over recordings of one drive as they come, for this column of qpos and ctrl.
+    """Estimate the delay from a command to its effect.
 
-    The command is held between samples; the delay counts from the sample on. Recordings under a position command whose
-    fields hold the same numbers (gains, payload) share one simple drive. None where they cannot tell: too short, too
-    little motion, or delays that scatter too much.
+    The command is held between samples; the delay counts from the sample on. Under a position command, recordings
+    whose fields contain the same numbers (gains, payload) share one simple drive.
+
+    Args:
+        recordings: Recordings of one drive before cleaning.
+        joint: Column of qpos and ctrl.
+
+    Returns:
+        The delay; None if recordings are too short, contain too little motion or give scattered delays.
     """
     usable = [recording for recording in recordings if recording.signals["ctrl"].shape[1] > joint]
     follows = [_correlate(recording, joint) for recording in usable]
@@ -106,20 +112,20 @@ def estimate_delay(recordings: Sequence[Recording], joint: int = 0) -> Delay | N
 
 
 def _correlate(recording: Recording, joint: int) -> float:
-    """Correlation of command and position; NaN where one stands still."""
+    """Return the correlation of command and position; NaN if one is constant."""
     pair = np.stack([recording.signals[name][:, joint] for name in ("ctrl", "qpos")])
     pair = pair[:, np.isfinite(pair).all(axis=0)]
     return float(np.corrcoef(pair)[0, 1]) if pair.shape[1] > 2 and (np.ptp(pair, axis=1) > 0).all() else np.nan
 
 
 def _delays_of_torque(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "recordings"]:
-    """Delay of each recording under a torque command [s], NaN where it cannot tell."""
+    """Estimate the delay of each recording under a torque command [s]; NaN if it is not identifiable."""
     chosen = np.unique(np.linspace(0, len(recordings) - 1, RECORDINGS).astype(int))
     return np.array([_regress(recordings[i], joint) for i in chosen])
 
 
 def _regress(recording: Recording, joint: int) -> float:
-    """The delay of a torque command that explains the acceleration best [s], NaN where none does."""
+    """Return the delay of a torque command that explains the acceleration best [s]; NaN if none does."""
     qpos, ctrl = (recording.signals[name][:, joint] for name in ("qpos", "ctrl"))
     time, qpos, ctrl = regular_stretch(recording.time, repair_spikes(qpos), ctrl)
     if len(time) < 100:
@@ -142,21 +148,21 @@ def _regress(recording: Recording, joint: int) -> float:
 
 
 def _unexplained(acceleration: Signal, command: Signal, others: Float[np.ndarray, "time terms"]) -> float:
-    """Share of the acceleration's variance that a regression leaves."""
+    """Return the share of the acceleration's variance in the residual of a regression."""
     terms = np.column_stack([command, others])
     factors = np.linalg.lstsq(terms, acceleration, rcond=None)[0]
     return float(np.mean((acceleration - terms @ factors) ** 2) / max(acceleration.var(), 1e-300))
 
 
 def _delays_of_position(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "groups"]:
-    """Delay of each group of recordings under a position command [s], NaN where the simple drive does not fit."""
+    """Estimate the delay of each group under a position command [s]; NaN if the simple drive does not fit."""
     windows = _choose_windows(recordings, joint)
     delays, errors = _fit(windows) if windows else np.zeros((2, 0))
     return np.where(errors < FIT, delays, np.nan)
 
 
 def _choose_windows(recordings: Sequence[Recording], joint: int) -> Windows | None:
-    """The windows in which the joint travels farthest, some of each group of recordings."""
+    """Choose the windows with the longest travel in each group of recordings."""
     duration = float(np.median([recording.time[-1] - recording.time[0] for recording in recordings]))
     length = round(min(WINDOW, duration - 2 * BEFORE) / STEP)
     if length * STEP < SHORTEST:
@@ -168,7 +174,7 @@ def _choose_windows(recordings: Sequence[Recording], joint: int) -> Windows | No
     ordered = [groups[key] for key in sorted(groups)]
     kept = np.unique(np.linspace(0, len(ordered) - 1, GROUPS).astype(int))
     chosen = [cut for i in kept if (cut := _cut_farthest(ordered[i], joint, length))]
-    if len(chosen) == 1:  # the spread over groups says how sure the delay is; one has none
+    if len(chosen) == 1:  # a single group has no spread, so each window becomes a group
         chosen = [[window] for window in chosen[0]]
     if not chosen:
         return None
@@ -181,7 +187,7 @@ Cut = tuple[Signal, float, Float[np.ndarray, "longer"]]
 
 
 def _cut_farthest(recordings: Sequence[Recording], joint: int, length: int) -> list[Cut]:
-    """Position, first velocity and command of the windows in which the joint travels farthest."""
+    """Return position, initial velocity and command of the windows with the longest travel."""
     windows = [window for recording in recordings for window in _cut(recording, joint, length)]
     travelled = [float(np.abs(np.diff(qpos)).sum()) for qpos, _, _ in windows]
     order = np.argsort(travelled)[::-1][:WINDOWS]
@@ -189,7 +195,7 @@ def _cut_farthest(recordings: Sequence[Recording], joint: int, length: int) -> l
 
 
 def _cut(recording: Recording, joint: int, length: int) -> list[Cut]:
-    """Consecutive windows of a recording without gaps and with the drive on."""
+    """Cut a recording into consecutive windows without gaps and with the drive enabled."""
     time, before = recording.time, round(BEFORE / STEP)
     qpos, ctrl = repair_spikes(recording.signals["qpos"][:, joint]), recording.signals["ctrl"][:, joint]
     enable = recording.signals.get("enable", np.ones((len(time), 1))).min(axis=1)
@@ -211,7 +217,7 @@ def _cut(recording: Recording, joint: int, length: int) -> list[Cut]:
 
 
 def _fit(windows: Windows) -> tuple[Float[np.ndarray, "groups"], Float[np.ndarray, "groups"]]:
-    """Delay of each group [s], and its simple drive's error as a share of the spread of the positions."""
+    """Fit each group; return delays [s] and root mean losses as shares of the spread of the positions."""
     count, groups = len(DIFFERENCES), int(windows.group.max()) + 1
     spread = windows.qpos.std(axis=1).clip(1e-12)
     trial = np.tile(START, (groups, 1))
@@ -241,7 +247,7 @@ def _linearise(
     Float[np.ndarray, "groups parameters"],
     Float[np.ndarray, "groups parameters parameters"],
 ]:
-    """Mean Huber loss of each group, and its Gauss-Newton gradient and Hessian by differences."""
+    """Return each group's mean Huber loss, with its Gauss-Newton gradient and Hessian by finite differences."""
     shifted = parameters[:, None] + np.vstack([np.zeros(len(DIFFERENCES)), np.diag(DIFFERENCES)])
     error = (_simulate(shifted[windows.group], windows) - windows.qpos[:, None]) / spread[:, None, None]
     error = np.nan_to_num(error, nan=1e6, posinf=1e6, neginf=-1e6).clip(-1e6, 1e6)
@@ -259,7 +265,7 @@ def _linearise(
 def _simulate(
     parameters: Float[np.ndarray, "windows trials parameters"], windows: Windows
 ) -> Float[np.ndarray, "windows trials time"]:
-    """Positions of the simple drive; dry friction can stop it within a step."""
+    """Simulate the positions of the simple drive; dry friction can stop it within a step."""
     stiffness, damping, dry, limit = np.exp(np.moveaxis(parameters[..., :LOGARITHMIC], -1, 0))
     gravity, offset, delay = np.moveaxis(parameters[..., LOGARITHMIC:], -1, 0)
     start = round(BEFORE / STEP) - delay / STEP

@@ -1,4 +1,4 @@
-"""What is in a recording before anything is fitted: clock, encoder, lag between signals, excitation."""
+"""Diagnostics of a recording before a fit: clock, encoder, velocity lag, excitation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,25 +21,25 @@ from frictionzoo.logs.signals import (
     repair_spikes,
 )
 
-OUTLIER = 0.2  # share of the median by which a supply does not change in earnest
-SLOWEST = 0.05  # share of the top speed under which a sample counts as slow
-RESTING = 0.005  # and under which it counts as standing still
-VOLTAGES = ("vin", "voltage", "supply", "supply_voltage", "input_voltage")  # what a header may call the supply
+OUTLIER = 0.2  # largest plausible deviation of a supply voltage, as a share of its median
+SLOWEST = 0.05  # share of the top speed below which a sample counts as slow
+RESTING = 0.005  # share of the top speed below which a sample counts as standing still
+VOLTAGES = ("vin", "voltage", "supply", "supply_voltage", "input_voltage")  # header fields with the supply voltage
 
 
 class Timing(NamedTuple):
-    """A recording's clock.
+    """Clock of a recording.
 
     Attributes:
         samples: Number of samples.
-        duration: From the first to the last [s].
+        duration: Sum of the positive intervals [s].
         interval: Median interval between samples [s].
-        jitter: Share of the intervals that deviate from the median by more than a log tolerates.
-        worst: Largest such deviation outside gaps, as a share of the median.
-        duplicates: Samples with the time of the one before.
-        missing: Samples that would fill the intervals between one and a half medians and a gap.
-        gaps: Intervals that are longer than a gap.
-        resets: Times at which the clock runs backwards.
+        jitter: Share of the intervals, gaps excluded, that deviate from the median by more than `JITTER` allows.
+        worst: Largest deviation of an interval from the median, gaps excluded, as a share of the median.
+        duplicates: Samples that repeat the previous sample's time.
+        missing: Samples missing in intervals longer than 1.5 medians and shorter than a gap.
+        gaps: Intervals longer than `GAP` medians.
+        resets: Backward jumps of the clock.
     """
 
     samples: int
@@ -55,19 +55,19 @@ class Timing(NamedTuple):
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint of a recording; None stands for what cannot be told.
+    """One joint of a recording; None for a value that the recording does not show.
 
     Attributes:
-        position: Lowest and highest position, outliers left out [rad or m].
-        position_quantum: Step of the encoder [rad or m]; None where the values are not quantised.
-        spikes: Isolated spikes of the position, of one sample or two.
-        velocity: Lowest and highest velocity, estimated from the position, outliers left out [rad/s or m/s].
+        position: Lowest and highest position, outliers excluded [rad or m].
+        position_quantum: Step of the encoder [rad or m]; None if the values are not quantised.
+        spikes: Number of isolated spikes of the position, each one or two samples long.
+        velocity: Lowest and highest velocity, estimated from the position, outliers excluded [rad/s or m/s].
         velocity_quantum: Step of the measured velocity [rad/s or m/s].
-        velocity_lag: Time by which the measured velocity lags the position's derivative [s].
-        velocity_scale: Measured velocity over the position's derivative; 1 where their units agree.
-        top_speed: Largest speed, outliers left out [rad/s or m/s].
-        slow: Share of the samples under `SLOWEST` of the top speed.
-        rest: Share of the samples under `RESTING` of the top speed.
+        velocity_lag: Lag of the measured velocity behind the position's derivative [s].
+        velocity_scale: Ratio of the measured velocity to the position's derivative; 1 if their units agree.
+        top_speed: Largest speed, outliers excluded [rad/s or m/s].
+        slow: Share of the samples at or below `SLOWEST` of the top speed.
+        rest: Share of the samples at or below `RESTING` of the top speed.
     """
 
     position: tuple[float, float]
@@ -84,11 +84,11 @@ class Joint:
 
 @dataclass(frozen=True)
 class Command:
-    """One actuator's command in a recording.
+    """Command of one actuator in a recording.
 
     Attributes:
-        range: Lowest and highest.
-        saturated: Share of the samples at exactly the lowest or the highest.
+        range: Lowest and highest command.
+        saturated: Share of the samples at exactly the lowest or the highest command.
     """
 
     range: tuple[float, float]
@@ -97,14 +97,14 @@ class Command:
 
 @dataclass(frozen=True)
 class Supply:
-    """The measured supply against what the header says.
+    """Measured supply voltage, and the voltage that the header states.
 
     Attributes:
-        median: [V].
-        range: Lowest and highest [V].
-        outliers: Samples that differ from the median by more than a supply does in earnest.
-        field: Header field that names a supply; None where there is none.
-        stated: Its value [V].
+        median: Median voltage [V].
+        range: Lowest and highest voltage [V].
+        outliers: Number of samples that deviate from the median by more than `OUTLIER`.
+        field: Header field with a supply voltage; None if there is none.
+        stated: Value of that field [V].
     """
 
     median: float
@@ -116,13 +116,16 @@ class Supply:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is in one recording.
+    """Diagnostics of one recording.
 
     Attributes:
-        lost: Samples in which a signal is not finite.
-        commands: One for each actuator.
-        supply: None where none was measured.
-        enabled: Share of the samples with the drive on; None where that was not recorded.
+        name: Origin, for messages.
+        timing: Clock.
+        lost: Number of samples in which a signal is not finite.
+        joints: Position and velocity of each joint.
+        commands: Command of each actuator.
+        supply: Supply voltage; None if not recorded.
+        enabled: Share of the samples with the drive enabled; None if not recorded.
     """
 
     name: str
@@ -135,10 +138,11 @@ class Diagnosis:
 
 
 def diagnose(recording: Recording) -> Diagnosis:
-    """What is in a recording as it comes: it may have jitter, gaps, NaN and spikes.
+    """Diagnose a recording before cleaning; it may have jitter, gaps, NaN and spikes.
 
     Raises:
-        LogError: It lacks a signal that every recording has, or holds next to nothing.
+        LogError: The recording is incomplete (see `refuse_incomplete`), or a joint or command has too few finite
+            samples.
     """
     refuse_incomplete(recording)
     signals, enable = recording.signals, recording.signals.get("enable")
@@ -156,10 +160,11 @@ def diagnose(recording: Recording) -> Diagnosis:
 
 
 def refuse_incomplete(recording: Recording) -> None:
-    """Refuse what no part of the program can use.
+    """Refuse a recording that no part of the program can use.
 
     Raises:
-        LogError: qpos or ctrl is missing, shapes disagree, a time is not finite, or there are too few samples.
+        LogError: qpos or ctrl is missing, shapes disagree, a time is not finite, or there are fewer than two samples
+            at increasing times.
     """
     name, samples = recording.name, len(recording.time)
     for signal in ("qpos", "ctrl"):
@@ -184,7 +189,7 @@ def refuse_incomplete(recording: Recording) -> None:
 
 
 def measure_timing(time: Signal) -> Timing:
-    """The clock of a recording with these sample times [s], at least two of which follow each other."""
+    """Return the clock of a recording from its sample times [s], with at least one positive interval."""
     steps = np.diff(time)
     forward = steps[steps > 0]
     interval = float(np.median(forward))

@@ -1,4 +1,4 @@
-"""EMPS, the Electro-Mechanical Positioning System: a real ball-screw drive, recorded by others."""
+"""EMPS, the Electro-Mechanical Positioning System: public recordings of a ball-screw drive."""
 
 import hashlib
 import io
@@ -22,23 +22,23 @@ VARIABLES = ("t", "qm", "vir")
 
 @register_source("emps")
 class Emps(Source):
-    """The EMPS recordings: one file to train on, the one with pulses to test on.
+    """EMPS recordings: one training file, and a test file with pulses.
 
-    The files hold the measured position and the control voltage. The velocity is estimated from the position; the
-    position itself stays as measured. The voltage stays the command: the bench turns it into a force.
+    The files contain the measured position and the control voltage. The velocity is estimated from the position; the
+    position is not filtered. The voltage is the command; the bench converts it to a force.
 
     Source: A. Janot, M. Gautier, M. Brunot, Nonlinear System Identification Benchmarks, Eindhoven 2019.
 
     Args:
         name: The data set's name.
-        folder: Folder that holds `emps/`, or None where the user has not named one.
+        folder: Folder that contains `emps/`; None if the user has not set one.
         train: File name of the training recording.
         test: File name of the test recording.
         cutoff: Cut-off frequency of the velocity estimate [Hz].
         order: Order of the velocity estimate's filter.
 
     Raises:
-        ConfigError: The filter's order or its cut-off is impossible, or a part has several files.
+        ConfigError: The filter's order or cut-off is impossible, or a part is not a single file name.
     """
 
     def __init__(self, name: str, folder: str | None, train: Any, test: Any, cutoff: float, order: int) -> None:
@@ -50,10 +50,10 @@ class Emps(Source):
         self.train, self.test = train, test
 
     def load(self) -> Dataset:
-        """Both recordings.
+        """Load both recordings.
 
         Raises:
-            LogError: No folder is named, or a file is missing, unreadable or holds something else.
+            LogError: No folder is set, or a file is missing, unreadable or has other contents.
         """
         if self.folder is None:
             raise LogError(
@@ -66,7 +66,7 @@ class Emps(Source):
         path = Path(str(self.folder)).expanduser() / "emps" / file_name
         content = _read(path)
         time, position, voltage = _columns(path, content)
-        # The check of the samples comes before the filter, which would smear one NaN over all of them.
+        # Check the samples before filtering, which would spread one NaN over all of them.
         raw = Log(str(path), time, position[:, None], position[:, None], voltage[:, None], "", False)
         velocity = estimate_velocity(position, raw.timestep, self.cutoff, self.order, raw.name)
         return Log(
@@ -84,7 +84,7 @@ class Emps(Source):
 
 
 def _read(path: Path) -> bytes:
-    """The file's bytes; LogError where there are none."""
+    """Return the file's bytes; LogError if it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -96,10 +96,10 @@ def _read(path: Path) -> bytes:
 
 
 def _columns(path: Path, content: bytes) -> list[Signal]:
-    """The variables of a MATLAB file that a log needs, each as one column of the same length."""
+    """Return the variables of a MATLAB file that a log needs, each one column of the same length."""
     try:
         stored = scipy.io.loadmat(io.BytesIO(content))
-    # A damaged file makes scipy raise errors of many kinds (ValueError, TypeError, zlib.error, ...).
+    # SciPy raises many types of errors on a damaged file (ValueError, TypeError, zlib.error, ...).
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"{path}: not a readable MATLAB file ({reason}); download it again from {OBTAIN}") from None

@@ -1,4 +1,4 @@
-"""Headers that speak of the same signal, one a joint, and which of them are taken for it."""
+"""Families of headers that name the same signal, one header a joint, and the choice of one family a signal."""
 
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -11,10 +11,10 @@ from frictionzoo.logs.recording import SIGNALS, Table
 from frictionzoo.logs.words import MEASURED, POSITION, TORQUE, find_signal, list_words, split
 
 OTHER_TORQUE = frozenset(("ext", "external", "gravity", "friction", "model", "limit", "max", "min", "error"))
-BESIDE = ("ctrl_velocity", "ctrl_torque", "kp", "kd", "torque")  # what no recording needs, and few have
+BESIDE = ("ctrl_velocity", "ctrl_torque", "kp", "kd", "torque")  # optional signals that few recordings have
 
 Families = dict[tuple[int, str], list[str]]
-"""Headers that differ in the joint alone, by how plainly they speak of their signal, and what they have in common."""
+"""Headers that differ only in the joint, by rank (lower is clearer) and by stem, the common part of the headers."""
 
 
 def find_columns(
@@ -23,12 +23,12 @@ def find_columns(
     """Find the headers of each signal, in the table's order, and a sentence on each.
 
     Args:
-        table: What a file holds.
-        joints: Names of the joints whose columns are wanted; none where they are not known.
-        said: Signals of which a user said the columns.
+        table: Contents of a file.
+        joints: Names of the joints whose columns are wanted; empty if unknown.
+        said: Signals whose columns a user set.
 
     Raises:
-        LogError: Headers of another signal name some of the joints and not all, or one of them twice.
+        LogError: Headers of a signal not in `said` name only some of the joints, or a joint twice.
     """
     columns, reasons = {}, []
     names = {header: name for header in table.columns if (name := find_name(header, tuple(joints)))}
@@ -55,7 +55,7 @@ def find_columns(
 def _choose(
     table: Table, signal: str, found: Families, names: Mapping[str, Named], joints: Sequence[str]
 ) -> Sequence[str]:
-    """The headers of a signal: those with the joints' names where there are any, else the plainest."""
+    """Return the headers of a signal: those with joint names if there are any, otherwise the family of lowest rank."""
     best = found[min(found, key=lambda key: key[0])]
     if signal == "time" or best[0] not in names:
         return best[:1] if signal == "time" else best
@@ -74,7 +74,7 @@ def _choose(
 
 
 def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
-    """The headers that speak for each signal."""
+    """Return the candidate families of each signal."""
     families: dict[str, Families] = {}
     joints = {} if names else _find_joints(table)
     for header in sorted(table.columns, key=lambda header: joints.get(header, ("", 0))[1]):
@@ -82,7 +82,7 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
             stem, words = names[header].stem, names[header].words
         elif header in joints:
             stem, words = joints[header][0], list_words(split(joints[header][0]))
-        else:  # joints differ in what stands in brackets, or in a number
+        else:  # joints differ in the text in brackets, or in a number
             stem, words = re.sub(r"\[[^]]*\]|\d+", "#", header), list_words(split(header))
         if header not in table.times.values() and (role := find_signal(words)):
             signal, rank = role
@@ -90,7 +90,7 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
     families = {signal: _prefer_named(found, names) for signal, found in families.items()}
     efforts = families.pop("effort", {})
     families |= {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in ("kp", "kd")}
-    if "ctrl" not in families:  # a drive that is told a velocity or a torque, or whose torque is what drives it
+    if "ctrl" not in families:  # a drive with a velocity or torque command, or a torque as the only input
         commands = families.pop("ctrl_velocity", {}) | families.pop("ctrl_torque", {}) | efforts
         return families | ({"ctrl": commands} if commands else {})
     usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
@@ -99,12 +99,12 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
 
 
 def _prefer_named(found: Families, names: Mapping[str, Named]) -> Families:
-    """Headers with joints' names, where any have them: others are of other joints."""
+    """Return the families with joint names, or all if there are none: the others belong to other joints."""
     return {key: headers for key, headers in found.items() if headers[0] in names} or found
 
 
 def _prefer_moving(table: Table, found: Families) -> Families:
-    """Commands that change, where any do: one that never changes is not what the drive follows."""
+    """Return the commands that change, or all if none does: the drive does not follow a constant one."""
     moving = {key: headers for key, headers in found.items() if any(_moves(table.columns[h]) for h in headers)}
     return moving or found
 
@@ -119,17 +119,17 @@ def _keep_usable(table: Table, signal: str, found: Families) -> Families:
 
 
 def is_usable(table: Table, signal: str, headers: Sequence[str]) -> bool:
-    """Return whether a signal that no recording needs would not cost samples: of a torque, none may be missing."""
+    """Return whether an optional signal has samples; a torque must be complete, or cleaning would drop samples."""
     finite = [np.isfinite(table.columns[header]) for header in headers]
     if signal not in BESIDE:
         return True
-    # A gain that is said once, beside signals with samples, is none.
+    # A single value is no sampled gain.
     sampled = all(len(of) > 1 for of in finite)
     return sampled and all(of.all() if signal == "torque" else of.any() for of in finite)
 
 
 def _pick_torque(efforts: Families) -> Families:
-    """What can only be the measured torque of the joints."""
+    """Return the family that is certainly the measured joint torque; empty in case of doubt."""
     words = {key: {*list_words(split(key[1]))} for key in efforts}
     found = {key: headers for key, headers in efforts.items() if TORQUE & words[key] and not OTHER_TORQUE & words[key]}
     plain = {key: headers for key, headers in found.items() if MEASURED & words[key]}
@@ -137,10 +137,9 @@ def _pick_torque(efforts: Families) -> Families:
 
 
 def _find_joints(table: Table) -> dict[str, tuple[str, int]]:
-    """Of headers with a joint's name in them, what they have in common, and the joint's number in the order of qpos.
+    """Return the stem of headers with a joint's name, and the joint's number in the order of qpos.
 
-    Names are what is left of headers of positions, if headers of commands have the same: FL_hip of qpos_FL_hip and
-    ctrl_FL_hip.
+    A joint's name is the part that position and command headers share: FL_hip in qpos_FL_hip and ctrl_FL_hip.
     """
     best: dict[str, tuple[str, int]] = {}
     for names in _candidates(table).values():
@@ -154,7 +153,7 @@ def _find_joints(table: Table) -> dict[str, tuple[str, int]]:
 
 
 def _candidates(table: Table) -> dict[str, list[str]]:
-    """What may be names of joints: what stands before or after the word of a position, by all else in the header."""
+    """Return possible joint names, the text before or after a position word, by the rest of the header."""
     names: dict[str, list[str]] = {}
     positions = POSITION.split()
     for header in table.columns:
@@ -169,7 +168,7 @@ def _candidates(table: Table) -> dict[str, list[str]]:
 
 
 def _stems(table: Table, name: str) -> dict[str, str]:
-    """The headers with this name in them, by what they are without it."""
+    """Return the headers that contain this name, by stem."""
     place = re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])")
     return {place.sub("*", header, count=1): header for header in table.columns if place.search(header)}
 

@@ -1,4 +1,4 @@
-"""Recordings in a user's files, of whatever format, as a data set."""
+"""Data set from a user's files of any format."""
 
 import copy
 import logging
@@ -23,17 +23,17 @@ from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
 
 UPRIGHT: Mapping[str, int] = dict.fromkeys(TURNED, 1)
-"""Each signal with its own sign."""
+"""Default signs, which turn no signal."""
 AS_IT_IS = Cleaning()
-"""The cleaning that a recording gets of which nothing is said."""
+"""Default cleaning."""
 _log = logging.getLogger(__name__)
 
 
 @register_source("files")
 class Files(Source):
-    """Files as a data set: train and test named apart, or divided by time, by file or by a field.
+    """Data set from files: separate training and test files, or a division by time, by file or by a field.
 
-    Each argument is the option of that name in `conf/recordings/files.yaml`, which describes it.
+    `conf/recordings/files.yaml` describes each argument under the same name.
 
     Raises:
         ConfigError: An option is unknown or impossible.
@@ -73,7 +73,7 @@ class Files(Source):
         self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
         self.sign = _signs(sign)
         for signal, unit in self.units.items():
-            ratio(signal, unit)  # refuses what is none, also of a signal that no file has
+            ratio(signal, unit)  # refuses an unknown unit, even of a signal that no file has
         fields, where, exclude = (
             _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
         )
@@ -86,38 +86,38 @@ class Files(Source):
             raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
 
     def find(self) -> None:
-        """See `Source.find`."""
+        """Check that the files exist, see `Source.find`."""
         for names in filter(None, (self.train, self.test)):
             find_files(names, self.folder, self.source)
 
     def for_joints(self, joints: Sequence[str]) -> "Files":
-        """See `Source.for_joints`."""
+        """Return the same source for these joints, see `Source.for_joints`."""
         other = copy.copy(self)
         other.joints = tuple(joints)
         return other
 
     def recordings(self) -> list[Recording]:
-        """All recordings as they come, those that only test last.
+        """Return all recordings before cleaning, test-only recordings last.
 
         Raises:
-            LogError: A file cannot be read, does not hold what `columns` names, or none is kept.
+            LogError: A file cannot be read or lacks a column that `columns` names, or no recording is kept.
         """
         train, test = self._interpret_all()
         return train + test
 
     def load(self) -> Dataset:
-        """The cleaned recordings, in the order in which they are named; see `read` and `Logs.divide` for errors."""
+        """Load, clean and divide the recordings; see `read` and `Logs.divide` for errors."""
         return self.read().divide()
 
     def read(self, tables: Sequence[Table] = ()) -> Logs:
-        """The cleaned recordings, not yet divided.
+        """Read and clean the recordings without dividing them.
 
         Args:
-            tables: Further recordings that may train, which are in no file.
+            tables: Further training recordings from memory.
 
         Raises:
-            LogError: A file cannot be read, or does not hold what `columns` names.
-            ConfigError: A payload is none, or no one fits a recording.
+            LogError: A file cannot be read or lacks a column that `columns` names, or cleaning leaves no log.
+            ConfigError: A payload is invalid, or a recording matches no payload.
         """
         train, test = self._interpret_all(tables)
         recordings = train + test
@@ -130,7 +130,7 @@ class Files(Source):
         return Logs(self.name, tuple(recordings), cleaned, len(test), self.split, section)
 
     def _interpret_all(self, tables: Sequence[Table] = ()) -> tuple[list[Recording], list[Recording]]:
-        """The recordings that may train, and those that only test."""
+        """Return the recordings for training and the test-only recordings."""
         if not self.train and not tables:
             raise LogError("data.train=[]: no recording; name files, as in data.train=[a.csv] data.test=[b.csv]")
         train, test = [*self._tables(self.train), *tables], self._tables(self.test)
@@ -147,13 +147,13 @@ class Files(Source):
         return first, last
 
     def _tables(self, names: Sequence[str]) -> list[Table]:
-        """What the files that are meant hold, each recording once."""
+        """Read the tables of the named files, each recording once."""
         paths = find_files(names, self.folder, self.source) if names else []
         tables = [table for path in paths for table in read_tables(path, self.format)]
         return list({table.name: table for table in tables}.values())
 
     def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
-        """Tables in SI units; what the options do not say is proposed once for all tables with the same headers."""
+        """Convert tables to recordings; missing options are inferred once for all tables with the same headers."""
         said: dict[frozenset[str], tuple[dict[str, Any], dict[str, str]]] = {}
         for table in tables:
             headers = frozenset(table.columns)
@@ -166,7 +166,7 @@ class Files(Source):
         return self._arrange(turned) if self.joints else turned
 
     def _turn(self, recording: Recording, signal: str) -> np.ndarray:
-        """A signal turned round, column by column where a list says so."""
+        """Return a signal times its sign, or each column times its sign from a list."""
         sign, values = self.sign.get(signal, 1), recording.signals[signal]
         if isinstance(sign, list | tuple):
             came, columns = f"data.sign.{signal}={list(sign)}", recording.columns[signal]
@@ -181,7 +181,7 @@ class Files(Source):
         return np.asarray(sign) * values
 
     def _arrange(self, recordings: Sequence[Recording]) -> list[Recording]:
-        """The columns of each recording in the order of the joints."""
+        """Sort the columns of each recording by joint."""
         arranged, lines = [], []
         for each in recordings:
             found = arrange(each.name, each.columns, self.joints)
@@ -193,10 +193,10 @@ class Files(Source):
         return arranged
 
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
-        """Columns and units, with what is proposed where the options say nothing."""
+        """Return columns and units; those missing in the options are inferred."""
         proposal = propose(table, self.joints, self.columns)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
-        # A unit is that of the headers that were looked at, also where the options name the same ones.
+        # An inferred unit holds only for the inferred headers, which the options may name too.
         seen = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
         units = {signal: unit for signal, unit in proposal.units.items() if signal in seen - set(self.units)}
         own = all(headers == (signal,) for signal, headers in columns.items())
@@ -210,7 +210,7 @@ class Files(Source):
         return {**columns, **self.columns}, {**units, **self.units}
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
-        """The logs of a recording, with its payload and the inputs of the actuator law."""
+        """Clean a recording to logs, and add its payload and the inputs of the actuator law."""
         logs = []
         for log in clean(recording, self.clean):
             constants = {
@@ -222,7 +222,7 @@ class Files(Source):
         return logs
 
     def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
-        """One line on what cleaning did to the data set; LogError where it left nothing."""
+        """Log one line on the cleaning of the data set; LogError if no log remains."""
         kept = [log for cleaned in logs for log in cleaned]
         lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
         if not kept:
@@ -239,7 +239,7 @@ class Files(Source):
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:
-    """The value of an input: a number, or that of a field."""
+    """Return the value of an input, a number or the name of a field."""
     if not isinstance(given, str):
         return float(given)
     if given not in recording.fields:
@@ -268,7 +268,7 @@ def _signs(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _signals(option: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What is said of signals, without those of which nothing is."""
+    """Return the options of signals without those that are None."""
     given = given or {}
     for signal in given:
         if signal not in SIGNALS:

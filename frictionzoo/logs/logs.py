@@ -1,4 +1,4 @@
-"""Recordings that were read and cleaned, before they are divided into what trains and what tests."""
+"""Cleaned recordings before the division into training and test data."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -13,18 +13,18 @@ from frictionzoo.logs.split import Split
 
 
 class InMemory(Source):
-    """Recordings that were in no file, as the record of a run tells them: they cannot be read again.
+    """Placeholder in a run's configuration for recordings from memory, which cannot be read again.
 
     Args:
-        names: Of the recordings.
-        options: With which they were read.
+        names: Names of the recordings.
+        options: Options they were read with.
     """
 
     def __init__(self, names: Sequence[str], **options: Any) -> None:
         self.names: Sequence[str] = names
 
     def load(self) -> NoReturn:
-        """See `Source.load`."""
+        """Raise LogError: the recordings are in no file."""
         raise LogError(
             f"{self.names[0]}: the run had it in memory, expected a file; save its arrays as CSV, "
             "read it with read('a.csv') and identify the drive again"
@@ -33,15 +33,15 @@ class InMemory(Source):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Logs:
-    """Recordings with the logs that came of them; to go through it goes through the logs.
+    """Recordings with their cleaned logs; iteration yields the logs.
 
     Attributes:
-        name: Of them all.
-        recordings: As they come, those that only test last.
-        cleaned: The logs of each recording, one for each stretch without a gap.
-        held_out: How many recordings only test; 0 where `split` divides them.
-        split: What then trains and what tests.
-        section: The configuration that reads the same again.
+        name: Name of the data set.
+        recordings: Recordings before cleaning, test-only recordings last.
+        cleaned: Logs of each recording, one for each stretch without a gap.
+        held_out: Number of test-only recordings; 0 if `split` divides the recordings.
+        split: Division into training and test data, used if `held_out` is 0.
+        section: Configuration that reads the same recordings again.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Logs:
 
     @classmethod
     def of(cls, logs: Iterable[Log]) -> "Logs":
-        """Logs that are in memory already, each a recording of its own.
+        """Collect logs in memory, each as one recording.
 
         Raises:
-            LogError: There is none.
-            ConfigError: They are no logs.
+            LogError: There are no logs.
+            ConfigError: An element is not a `Log`.
         """
         held: list[Any] = list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
         if not held:
@@ -75,17 +75,17 @@ class Logs:
         return sum(map(len, self.cleaned))
 
     def __repr__(self) -> str:
-        """A line for each log, and below it what was repaired."""
+        """Return a line for each log, followed by its repairs."""
         return "\n".join(line for log in self for line in (_describe(log), *(f"  {each}" for each in log.repairs)))
 
     def dividing(self, test: float | Split | None) -> "Logs":
-        """The same recordings, divided in another way.
+        """Return the same recordings with another division.
 
         Args:
-            test: The last share of each recording, or a rule; None as they were.
+            test: Share at the end of each recording, or a `Split`; None for no change.
 
         Raises:
-            ConfigError: It is neither, or some were read to test only.
+            ConfigError: `test` is invalid, or some recordings are test-only.
         """
         if test is None:
             return self
@@ -99,7 +99,7 @@ class Logs:
         return replace(self, split=split, section={**self.section, "split": describe(asdict(split))})
 
     def divide(self) -> Dataset:
-        """The logs that train and those that test.
+        """Divide the logs into training and test logs.
 
         Raises:
             LogError: A part has no recording.

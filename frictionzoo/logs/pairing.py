@@ -1,4 +1,4 @@
-"""Which column belongs to which joint: by the names in the headers, or by place where the headers have no names."""
+"""Matching of columns to joints: by the names in the headers, or by position if the headers have no names."""
 
 import re
 from collections import Counter
@@ -11,18 +11,18 @@ from frictionzoo.core.log import Columns, Log
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.words import GENERIC, KNOWN, list_words, split
 
-MOST_LISTED = 24  # headers in a message
+MOST_LISTED = 24  # headers listed in a message
 
 By = Literal["name", "listed", "place"]
 
 
 class Named(NamedTuple):
-    """A header that names a joint.
+    """Header that names a joint.
 
     Attributes:
         joint: Number of the joint.
-        words: What else it says.
-        stem: The same as one text, with `*` in the joint's place: headers of one signal have the same.
+        words: Words of the header without the joint's name.
+        stem: Header with `*` in place of the joint's name; equal for all headers of one signal.
     """
 
     joint: int
@@ -31,12 +31,12 @@ class Named(NamedTuple):
 
 
 class Pairing(NamedTuple):
-    """The columns of one signal, in the order of the joints.
+    """Columns of one signal in the order of the joints.
 
     Attributes:
-        order: For each joint the place of its header.
-        by: `name`: the headers name the joints. `listed`: they do not, and a user listed them in this order. `place`:
-            they name no joint, and their order counts.
+        order: Index of each joint's header.
+        by: How headers were matched. `name`: they name the joints. `listed`: they name no joints and are in the user's
+            order. `place`: they name no joints and are in the file's order.
     """
 
     order: tuple[int, ...]
@@ -44,18 +44,17 @@ class Pairing(NamedTuple):
 
 
 def arrange(name: str, columns: Mapping[str, Columns], joints: Sequence[str]) -> dict[str, Pairing]:
-    """Find the columns of each joint among those of all signals of one recording.
+    """Match the columns of all signals of one recording to the joints.
 
-    Headers that a user listed are matched by their names if these name each joint once, and are taken as listed
-    otherwise.
+    Headers that a user listed are matched by name if they name each joint once; otherwise they keep the listed order.
 
     Args:
-        name: Of the recording, for messages.
-        columns: Of each signal, in the order of the file, or as listed.
+        name: Name of the recording, for messages.
+        columns: Columns of each signal, in the file's order or as listed.
         joints: Names of the joints.
 
     Raises:
-        LogError: As `pair`; or a signal without names stands beside one whose names have another order.
+        LogError: As `pair`; or one signal has no joint names and another signal names the joints in another order.
     """
     found = {signal: _arrange(name, signal, of, joints) for signal, of in columns.items()}
     moved = [s for s, pairing in found.items() if not columns[s].listed and _moves(columns[s], pairing)]
@@ -82,7 +81,7 @@ def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str]) -> Pair
 
 
 def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dict[str, Columns]:
-    """Return where the columns of signals come from once they are in the order that `arrange` gives."""
+    """Return the origin of the columns in the order from `arrange`."""
     return {
         signal: Columns(tuple(columns[signal].headers[place] for place in order), columns[signal].listed, by)
         for signal, (order, by) in found.items()
@@ -90,7 +89,7 @@ def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dic
 
 
 def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> list[str]:
-    """Sentences on signals that `arrange` puts in order for the first time, and not simply by the joints' names."""
+    """Return sentences on signals that `arrange` orders the first time, except where headers simply name the joints."""
     new = {signal: pairing for signal, pairing in found.items() if not columns[signal].by and len(pairing.order) > 1}
     placed = [signal for signal, (_, by) in new.items() if by == "place"]
     moved = [s for s, pairing in new.items() if columns[s].listed and _moves(columns[s], pairing)]
@@ -106,10 +105,10 @@ def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> l
 
 
 def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequence[str]) -> list[dict[str, Any]]:
-    """Return which column each joint got, once for all logs or recordings with the same columns, ready for JSON.
+    """Return the columns of each joint, ready for JSON; logs or recordings with the same columns share one entry.
 
     Args:
-        carriers: With columns in the order of the joints; those with others, or without any, are left out.
+        carriers: Logs or recordings; those without columns in the order of the joints are skipped.
         joints: Names of the joints.
     """
     names: dict[tuple[tuple[str, Columns], ...], list[str]] = {}
@@ -127,26 +126,26 @@ def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequ
 
 
 def _pick(columns: Sequence[tuple[str, Columns]], joint: int) -> dict[str, str]:
-    """The header of a joint's column of each signal; one column serves all joints."""
+    """Return each signal's header for one joint; a single column serves all joints."""
     return {signal: of.headers[joint if len(of.headers) > 1 else 0] for signal, of in columns}
 
 
 def _moves(of: Columns, pairing: Pairing) -> bool:
-    """Whether columns that name their joints are put in another order, or some left out."""
+    """Return whether columns matched by name are reordered or some of them left out."""
     return pairing.by == "name" and pairing.order != tuple(range(len(of.headers)))
 
 
 def pair(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
-    """Find the header of each joint among those of one signal.
+    """Match the headers of one signal to the joints.
 
-    A header names a joint whose name stands in it as whole words: in any case and with any separators, without words
-    such as `joint`, and without what the names of all joints have in common if the rest of the header is the signal's.
-    Headers of further joints are left out. Headers that differ in one number alone have no names, unless the joints'
-    names end in the same numbers.
+    A header names a joint if it contains the joint's name as whole words. Case, separators and words such as `joint`
+    do not count. A prefix or suffix that all joint names share may be missing if all other words of the header are
+    known. Headers of other joints are left out. Headers that differ only in one number are matched by position, unless
+    the joints' names differ in the same numbers.
 
     Raises:
-        LogError: Some joints are named and others not, two headers name one joint, or the headers differ in names that
-            are no joint's. The text lists them, and goes on from the signal's name.
+        LogError: Only some joints are named, two headers name one joint, or the headers differ in names of no joint.
+            The message lists them and continues a sentence that begins with the signal's name.
     """
     named = {place: found.joint for place, header in enumerate(headers) if (found := find_name(header, tuple(joints)))}
     if not named:
@@ -159,7 +158,7 @@ def pair(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
 
 
 def _pair_numbers(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
-    """The headers of each joint where none names one: they differ in a number alone, or there is one."""
+    """Match headers without joint names: a single one, or several that differ only in a number."""
     in_order = Pairing(tuple(range(len(headers))), "place")
     if len(headers) == 1:
         return in_order
@@ -182,7 +181,7 @@ def _pair_numbers(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
 
 
 def label(headers: Sequence[str]) -> tuple[str, ...]:
-    """Return names for unknown joints: headers without the words of signals, or else numbers from 1."""
+    """Return names for unknown joints: headers without signal words, or numbers from 1 if these are no names."""
     names = []
     for header in headers:
         words = [word for word in re.finditer(r"[^\W\d_]+|\d+", header)]
@@ -197,12 +196,12 @@ def label(headers: Sequence[str]) -> tuple[str, ...]:
 
 
 def has_names(headers: Sequence[str]) -> bool:
-    """Whether headers differ in more than numbers."""
+    """Return whether headers differ in more than numbers."""
     return len({tuple("#" if part.isdecimal() else part for part in split(header)) for header in headers}) > 1
 
 
 def _find_numbers(names: Sequence[str]) -> tuple[int, ...] | None:
-    """The numbers in which names differ, if each differs in one number and nothing else."""
+    """Return the number in each name if the names differ in that number only; otherwise None."""
     parts = [split(name) for name in names]
     if len(parts) < 2 or has_names(names):
         return None
@@ -213,7 +212,7 @@ def _find_numbers(names: Sequence[str]) -> tuple[int, ...] | None:
 
 
 def find_name(header: str, joints: tuple[str, ...]) -> Named | None:
-    """Find the joint that a header names, the longest name first; None for none, or for two alike."""
+    """Find the joint that a header names; the longest match wins. None if no joint matches or two match equally."""
     parts, forms = split(header), _list_forms(joints)
     longest = max(map(len, forms), default=0)
     found: list[tuple[int, int, int, int]] = []
@@ -237,9 +236,9 @@ def find_name(header: str, joints: tuple[str, ...]) -> Named | None:
 
 @cache
 def _list_forms(joints: tuple[str, ...]) -> dict[str, dict[int, bool]]:
-    """Forms of joints' names: for each the joint, and whether the rest of a header must be of known words alone.
+    """Return short and full forms of joint names; True marks a form that needs a header of otherwise known words.
 
-    A form that two joints share, or that is a number and not the whole name, is left out.
+    Forms that two joints share, and numbers that are not a whole name, are left out.
     """
     whole = [split(name) for name in joints]
     short = [[part for part in parts if part not in GENERIC] for parts in whole]
@@ -258,7 +257,7 @@ def _list_forms(joints: tuple[str, ...]) -> dict[str, dict[int, bool]]:
 
 
 def _count_shared(names: Sequence[Sequence[str]]) -> int:
-    """How many parts all names begin with, as long as each keeps one more."""
+    """Return how many leading parts all names share, leaving each name at least one part."""
     count = 0
     while len(names) > 1 and all(len(parts) > count + 1 for parts in names) and len({p[count] for p in names}) == 1:
         count += 1
@@ -266,12 +265,12 @@ def _count_shared(names: Sequence[Sequence[str]]) -> int:
 
 
 def _join(parts: Sequence[str]) -> str:
-    """Parts as one text, in which numbers stay apart."""
+    """Join parts to one text with numbers in angle brackets."""
     return "".join(f"<{part}>" if part.isdecimal() else part for part in parts)
 
 
 def _say_unpaired(headers: Sequence[str], joints: Sequence[str], named: Mapping[int, int]) -> str:
-    """What is wrong with names that are not one for each joint."""
+    """Return the message for headers that do not name each joint once."""
     columns = {
         joint: [headers[place] for place, of in named.items() if of == number] for number, joint in enumerate(joints)
     }

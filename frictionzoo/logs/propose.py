@@ -1,4 +1,4 @@
-"""A guess at which columns are which signals, and in which units, in words that can be pasted into a command."""
+"""Proposed columns and units of signals, as options for the command line."""
 
 import math
 import re
@@ -23,21 +23,21 @@ SPELLINGS = {
     **{"volts": "V", "volt": "V", "amps": "A", "percent": "%", "pct": "%", "turns": "rev"},
     **{"c": "degC", "celsius": "degC"},
 }
-STEPS = ((0.5, "s"), (200.0, "ms"), (2e5, "us"), (math.inf, "ns"))  # below which median step, of logs at 5 Hz to 5 kHz
-NEAR = 0.12  # of the logarithm of a ratio of two signals that still shows its units
-ALIKE = 0.9  # correlation from which two signals are taken to be the same quantity
-TURNS = 57.0  # rad: nine turns of a joint, or a full turn and a bit in degrees wrongly taken for radians
+STEPS = ((0.5, "s"), (200.0, "ms"), (2e5, "us"), (math.inf, "ns"))  # largest median step by unit, 5 Hz to 5 kHz
+NEAR = 0.12  # largest error of a ratio's logarithm for which the ratio shows the units
+ALIKE = 0.9  # least correlation of two signals of the same quantity
+TURNS = 57.0  # rad; nine turns of a joint, more likely a motion recorded in degrees
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """Which columns are which signals.
+    """Proposed columns and units of a table.
 
     Attributes:
-        columns: Headers of each signal that was found.
-        units: Unit of each signal that is not in SI units.
-        reasons: Why, a sentence each.
-        certain: Whether every name means its signal and nothing else, and no number speaks against SI units.
+        columns: Headers of each recognised signal.
+        units: Unit of each signal outside SI.
+        reasons: Reasons for the proposal, a sentence each.
+        certain: Whether all names are unambiguous and all signals seem to be in SI units.
     """
 
     columns: Mapping[str, tuple[str, ...]]
@@ -46,7 +46,7 @@ class Proposal:
     certain: bool = False
 
     def overrides(self) -> list[str]:
-        """Options that say the same on the command line, quoted for a shell where that is needed."""
+        """Return the proposal as options for the command line, quoted for a shell if needed."""
         columns = [
             f"data.columns.{signal}={_quote(headers[0]) if signal == 'time' else _list(headers)}"
             for signal, headers in self.columns.items()
@@ -56,15 +56,15 @@ class Proposal:
 
 
 def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()) -> Proposal:
-    """Guess at the signals of a table, from names and from numbers.
+    """Propose columns and units for the signals of a table, from names and numbers.
 
     Args:
-        table: What a file holds.
-        joints: Names of the joints whose columns are wanted; none where they are not known.
-        said: Signals of which a user said the columns.
+        table: Contents of a file.
+        joints: Names of the joints whose columns are wanted; empty if unknown.
+        said: Signals whose columns a user set.
 
     Raises:
-        LogError: Headers of another signal name some of the joints and not all, or one of them twice.
+        LogError: Headers of a signal not in `said` name only some of the joints, or a joint twice.
     """
     for known in ({signal: signal for signal in SIGNALS}, BAM):
         if all(known[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
@@ -78,9 +78,9 @@ def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()
     return Proposal(columns, units, (*named, *reasons))
 
 
-@np.errstate(all="ignore")  # numbers as they come: what overflows or is infinite leaves no guess
+@np.errstate(all="ignore")  # raw numbers: overflow or infinity gives no guess
 def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, str], list[str]]:
-    """Units by the headers, and by the numbers where these say nothing."""
+    """Find units from headers, or from numbers if headers state none."""
     units, reasons = {}, []
     for signal, headers in columns.items():
         unit = _unit_of(signal, headers[0])
@@ -95,7 +95,7 @@ def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
 
 
 def _unit_of(signal: str, header: str) -> str | None:
-    """The unit that stands in a header, in brackets or at its end."""
+    """Return the unit in a header, in brackets or at its end."""
     known = {name.replace(" ", "").lower(): name for name in UNITS[signal]}
     inside = re.findall(r"[\[(]([^\])]*)[\])]\s*$", header)
     parts = re.split(r"[_\s.]+", header.lower())
@@ -112,7 +112,7 @@ Columns = Mapping[str, tuple[str, ...]]
 
 
 def _guess_time(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """The unit of time, by its steps."""
+    """Guess the unit of time from its steps."""
     if "time" not in columns or "time" in units or columns["time"][0] in table.units:
         return []
     steps = np.diff(table.columns[columns["time"][0]].astype(float))
@@ -125,7 +125,7 @@ def _guess_time(table: Table, columns: Columns, units: Mapping[str, str]) -> Gue
 
 
 def _guess_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """The unit of position or velocity, by the ratio of the one's derivative to the other."""
+    """Guess the units of position and velocity from the ratio of the position's derivative to the velocity."""
     signals = _values(table, columns, ("time", "qpos", "qvel"))
     if signals is None or {"qpos", "qvel"} <= set(units) or columns["qpos"][0] in table.units:
         return []
@@ -151,7 +151,7 @@ def _guess_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Gue
 
 
 def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """Degrees, where a position in radians would be many turns away."""
+    """Guess degrees if the position in radians would be many turns."""
     if "qpos" not in columns or "qpos" in units or columns["qpos"][0] in table.units:
         return []
     largest = float(np.nanmax(np.abs(table.columns[columns["qpos"][0]]), initial=0.0))
@@ -162,19 +162,19 @@ def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Gu
 
 
 def _guess_command(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """The unit of a command that the position follows."""
+    """Guess the unit of a command that the position follows."""
     return _guess_followed(table, columns, units, "qpos", "ctrl", ("rad", "deg"))
 
 
 def _guess_command_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """The unit of a desired velocity that the velocity follows."""
+    """Guess the unit of a desired velocity that the velocity follows."""
     return _guess_followed(table, columns, units, "qvel", "ctrl_velocity", ("rad/s", "deg/s"))
 
 
 def _guess_followed(
     table: Table, columns: Columns, units: Mapping[str, str], signal: str, told: str, possible: tuple[str, ...]
 ) -> Guess:
-    """The unit of a command that a signal follows, by the ratio of the two."""
+    """Guess the unit of a command from the ratio of the signal that follows it."""
     if told in units or columns.get(told, ("",))[0] in table.units:
         return []
     signals = _values(table, columns, (signal, told))
@@ -185,14 +185,14 @@ def _guess_followed(
     if size is None:
         return []
     distance, unit = min((abs(math.log(size * _si(signal, known) / _si(signal, u))), u) for u in possible)
-    # A position that falls short of its command is no other unit, as one of 57 times less is.
+    # A position short of its command does not show another unit; a factor of 57 does.
     if distance > 10 * NEAR or _si(signal, unit) == 1:
         return []
     return [(told, unit, f"{columns[signal][0]} follows it, {size:.3g} times as large")]
 
 
 def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Signal] | None:
-    """The first column of each signal, where all of them are there at the same times."""
+    """Return the first column of each signal; None unless all exist with equal length."""
     if not all(signal in columns for signal in signals):
         return None
     values = [table.columns[columns[signal][0]].astype(float) for signal in signals]
@@ -200,7 +200,7 @@ def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Si
 
 
 def _ratio(first: Signal, second: Signal, of_same: bool = False) -> float | None:
-    """By how much the first is larger than the second; None where they are not the same quantity."""
+    """Return the ratio of the first signal to the second; None if they are not the same quantity."""
     fine = np.isfinite(first) & np.isfinite(second) & (np.abs(first) < 1e100) & (np.abs(second) < 1e100)
     if fine.sum() < 3 or not np.ptp(first[fine]) > 0 or not np.ptp(second[fine]) > 0:
         return None
@@ -208,7 +208,7 @@ def _ratio(first: Signal, second: Signal, of_same: bool = False) -> float | None
     products = float(a @ b), float(a @ a), float(b @ b)
     if min(products) <= 0 or products[0] < (ALIKE if of_same else 0.3) * math.sqrt(products[1] * products[2]):
         return None
-    return products[0] / products[2]  # noise is in the first, the derivative
+    return products[0] / products[2]  # the first, a derivative, has the noise
 
 
 def _si(signal: str, unit: str) -> float:
@@ -217,7 +217,7 @@ def _si(signal: str, unit: str) -> float:
 
 
 def _quote(name: str) -> str:
-    """A value of an option, in quotes where Hydra would read more into it."""
+    """Return a value of an option, quoted if Hydra would parse it as syntax."""
     return name if re.fullmatch(r"[A-Za-z_][\w/ -]*", name) else '"' + name.replace('"', '\\"') + '"'
 
 
@@ -226,5 +226,5 @@ def _list(headers: tuple[str, ...]) -> str:
 
 
 def _shell(option: str) -> str:
-    """An option as one word of a shell, which leaves brackets of words alone."""
+    """Return an option as one word of a shell; brackets around words need no quotes."""
     return option if re.fullmatch(r"[\w.=/,\[\]-]*", option) else shlex.quote(option)

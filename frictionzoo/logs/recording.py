@@ -1,4 +1,4 @@
-"""Recordings as they come, before cleaning: a file's columns, and the signals that they stand for."""
+"""Recordings before cleaning: the columns of a file, and signals in SI units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,32 +10,31 @@ from jaxtyping import Float, Real
 from frictionzoo.core.log import Columns
 
 COMMANDS = ("ctrl", "ctrl_velocity", "ctrl_torque", "kp", "kd")
-"""What a drive was told: the command, and beside it desired velocity, feed-forward torque and gains."""
+"""Commands to a drive: main command, desired velocity, feed-forward torque and gains."""
 
 SIGNALS = ("time", "qpos", "qvel", *COMMANDS, "torque", "supply", "enable", "temperature")
-"""What a column may stand for. Needed: time, qpos, ctrl; the others where the file has them."""
+"""Signals that a column may contain; time, qpos and ctrl are required, the others optional."""
 
 TURNED = ("qpos", "qvel", "ctrl", "ctrl_velocity", "ctrl_torque", "torque")
-"""Signals that have a direction."""
+"""Signals whose sign depends on the direction of motion."""
 
 HELD = (*COMMANDS, "enable")
-"""Signals that keep their value until the next sample; the others go on in between."""
+"""Signals held constant until the next sample; the others are continuous."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """What a file holds, in its own names and units.
+    """Contents of a file, with the file's names and units.
 
     Attributes:
-        name: Where it came from, for messages; `ARCHIVE!MEMBER` for a member of an archive.
-        columns: Samples by the file's own header; of several lengths where signals were recorded apart, each then with
-            its own time. float64, or int64 where that would round (nanoseconds since 1970).
-        fields: What the file says of the whole recording: gains, payload, trajectory.
+        name: Origin, for messages; `ARCHIVE!MEMBER` for a member of an archive.
+        columns: Samples by header; lengths differ if signals were recorded at different times. float64, or int64 if
+            float64 would round (nanoseconds since 1970).
+        fields: Values for the whole recording, such as gains, payload, trajectory.
         sha256: Hash of the bytes that were read.
-        refused: Why a column of the file is none of `columns`, by its header: the line that the user gets who asks
-            for it.
-        times: Header of a column's own time, for signals that were recorded apart.
-        units: Units that the format itself lays down, by header.
+        refused: Error messages for unusable columns, by header.
+        times: Header of the time column, by the header of a column that was recorded at its own times.
+        units: Units that the format specifies, by header.
     """
 
     name: str
@@ -49,20 +48,20 @@ class Table:
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording in SI units, with the jitter, gaps and spikes that it came with.
+    """One recording in SI units before cleaning, with jitter, gaps and spikes.
 
     Attributes:
-        name: Where it came from, for messages.
-        time: Sample times since the first [s].
-        signals: Samples of each of `SIGNALS` that there is besides time, of shape (time, columns): qpos [rad or m],
+        name: Origin, for messages.
+        time: Sample times from the first sample on [s].
+        signals: Samples of each recorded signal except time, of shape (time, columns): qpos [rad or m],
             qvel [rad/s or m/s], ctrl in the actuator law's unit, ctrl_velocity [rad/s or m/s], ctrl_torque [N m or N],
-            kp [N m/rad or N/m], kd [N m s/rad or N s/m], torque as measured [N m or N], supply [V], enable (0 or 1),
+            kp [N m/rad or N/m], kd [N m s/rad or N s/m], measured torque [N m or N], supply [V], enable (0 or 1),
             temperature [degC].
-        fields: What the source says of the whole recording.
-        sha256: Hash of what was read.
+        fields: Values for the whole recording.
+        sha256: Hash of the bytes that were read.
         simulated: Whether a simulator made it; False: recorded on hardware; None: not stated.
-        notes: What was done to bring its signals together, a sentence each.
-        columns: Where the columns of signals come from, by the signal.
+        notes: Changes made to bring the signals to common times, a sentence each.
+        columns: Origin of the columns by signal.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What files say of whole recordings (gains, trajectory), and by it the choice of recordings and of their payloads."""
+"""Selection of recordings and payloads by fields, values for whole recordings such as gains or trajectory."""
 
 import math
 import re
@@ -13,16 +13,16 @@ from frictionzoo.logs.recording import Recording, Table
 
 @dataclass(frozen=True)
 class Selection:
-    """Fields that a user adds to those of the files, and the recordings that are kept by them.
+    """Additional fields, and the selection of recordings by fields.
 
     Args:
-        fields: Values of fields, the same for all files; before the file's own.
-        from_name: Regular expression with named groups, which are fields, searched in the file's name; None for none.
-        where: Values of fields that are kept.
-        exclude: Values of fields that are left out.
+        fields: Values of fields for all files; they override the fields in a file and its name.
+        from_name: Regular expression, searched in the file's name, whose named groups become fields; None for none.
+        where: Field values of recordings to keep.
+        exclude: Field values of recordings to leave out.
 
     Raises:
-        ConfigError: An option is of another form.
+        ConfigError: An option has the wrong form.
     """
 
     fields: Mapping[str, Any]
@@ -43,10 +43,10 @@ class Selection:
             raise ConfigError(f"{came}: no named group, expected one, as in (?P<kp>\\d+)")
 
     def keep(self, tables: Sequence[Table]) -> list[Table]:
-        """The tables that are kept, with all their fields.
+        """Return the selected tables with all their fields.
 
         Raises:
-            LogError: A name does not match, none has a field or value that is asked for, or none is kept.
+            LogError: A name does not match `from_name`, no table has a requested field or value, or none is selected.
         """
         tables = [replace(table, fields=self._all_fields(table)) for table in tables]
         for option, asked in (("where", self.where), ("exclude", self.exclude)):
@@ -75,19 +75,27 @@ class Selection:
 
 
 def _equal(one: Any, other: Any) -> bool:
-    """Whether two values of a field are the same, numbers up to rounding."""
+    """Return whether two values of a field are equal, numbers up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=1e-9)
     return one == other
 
 
 def is_among(value: Any, values: Iterable[Any]) -> bool:
-    """Whether a field's value is one of these."""
+    """Return whether a field's value is one of these."""
     return any(_equal(value, other) for other in values)
 
 
 def refuse_absent(carriers: Sequence[Any], name: str, values: Iterable[Any], option: str, asked: str) -> None:
-    """LogError where nothing of what has `fields` has this one, as `option` asks, or one of these values of it."""
+    """Refuse a field or a value of it that no recording has, with a LogError.
+
+    Args:
+        carriers: Tables or recordings, with `fields`.
+        name: Name of the field.
+        values: Requested values of the field.
+        option: Option that names the field, for messages.
+        asked: Option that names the values, for messages.
+    """
     present = list(dict.fromkeys(carrier.fields[name] for carrier in carriers if name in carrier.fields))
     if not present:
         known = {known for carrier in carriers for known in carrier.fields}
@@ -113,15 +121,16 @@ def _number_or_text(text: str) -> str | float:
 
 
 def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> list[Payload | None]:
-    """The payload that the drive carried in each recording.
+    """Return the payload of the drive in each recording.
 
     Args:
-        given: Empty for none; or seven numbers a recording; or entries of `when`, values of fields, and `payload`, the
-            seven numbers: mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2].
-        recordings: As they come.
+        given: Empty for none; or seven numbers a recording; or entries with `when` (values of fields) and `payload`
+            (seven numbers). The numbers are mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2].
+        recordings: Recordings, training before test.
 
     Raises:
-        ConfigError: The numbers make no payload, there are more or fewer than recordings, or no entry or two fit one.
+        ConfigError: A payload is invalid, the numbers of payloads and recordings differ, or not exactly one entry
+            matches a recording.
     """
     if not given:
         return [None] * len(recordings)
@@ -135,14 +144,14 @@ def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> li
 
 
 def _read_entry(place: int, entry: Any) -> tuple[Mapping[str, Any], Payload]:
-    """Condition and payload of an entry of the table."""
+    """Read condition and payload of one entry."""
     if not isinstance(entry, Mapping) or set(entry) != {"when", "payload"} or not isinstance(entry["when"], Mapping):
         raise ConfigError(f"data.payload[{place}] is {entry}; expected when: {{field: value}} and payload: [7 numbers]")
     return entry["when"], _read_numbers(_describe(entry["when"]), entry["payload"])
 
 
 def _look_up(table: Sequence[tuple[Mapping[str, Any], Payload]], recording: Recording) -> Payload:
-    """The payload of the one entry that fits."""
+    """Return the payload of the only entry that matches a recording."""
     fields = recording.fields
     fitting = [
         payload
@@ -157,7 +166,7 @@ def _look_up(table: Sequence[tuple[Mapping[str, Any], Payload]], recording: Reco
 
 
 def _read_numbers(owner: str, numbers: Any) -> Payload:
-    """A payload from its seven numbers."""
+    """Read a payload from its seven numbers."""
     came = f"data.payload of {owner} is {numbers}"
     if not isinstance(numbers, Sequence) or len(numbers) != 7 or not all(_is_finite(x) for x in numbers):
         raise ConfigError(f"{came}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz")

@@ -1,4 +1,4 @@
-"""What a signal tells by itself or beside another: breaks, spikes, outliers, quantum, lag and velocity."""
+"""Signal analysis: breaks, spikes, outliers, quantum, noise, lag and velocity."""
 
 import math
 
@@ -8,34 +8,34 @@ from jaxtyping import Bool, Float, Int
 
 from frictionzoo.core.errors import ConfigError, LogError, refuse_outside
 
-GAP = 5.0  # median intervals; a longer one is a gap, not a few missing samples
-SPIKE = 20.0  # a spike leaves both neighbours by this many times the usual second difference
-FAR = 1.0  # times the range of the others that an outlier lies beyond it
-RETURN = 0.5  # and its neighbours differ by less than this share of what it leaves them by
-WIDEST = 2  # samples; a longer excursion may be a motion
-QUANTISED = 0.9  # share of the steps between samples that are multiples of a quantum, if there is one
-TOP = 0.001  # share of the samples on either side that may lie beyond what counts as the range
-LONGEST_LAG = 0.1  # s, searched on either side
-ALIKE = 0.9  # correlation from which on two signals are delayed copies of each other
-ORDER = 2  # of the velocity estimate's filter; its cut-off is a tenth of the sample rate, at most 50 Hz
-_DIFFERENCES = 6  # largest order of differences that noise is sought in
-MOST_ORDER = 20  # of a filter; above, its coefficients are rounding
+GAP = 5.0  # median intervals; a longer interval is a gap
+SPIKE = 20.0  # least distance of a spike from both neighbours, in usual second differences
+FAR = 1.0  # least distance of an outlier from the range of the other samples, in ranges
+RETURN = 0.5  # largest difference of a spike's neighbours, as a share of its distance from them
+WIDEST = 2  # samples of a spike; a longer excursion may be motion
+QUANTISED = 0.9  # least share of steps between samples that are multiples of the quantum
+TOP = 0.001  # share of the samples on either side outside the range of a signal
+LONGEST_LAG = 0.1  # s; searched on either side
+ALIKE = 0.9  # least correlation of two signals that are delayed copies of each other
+ORDER = 2  # of the filter for velocity; its cut-off is a tenth of the sample rate, at most 50 Hz
+_DIFFERENCES = 6  # largest order of differences used to estimate noise
+MOST_ORDER = 20  # of a filter; at higher orders its coefficients are rounding errors
 
 Signal = Float[np.ndarray, "time"]
 """Samples of one signal, or their times [s]."""
 
 
 def find_breaks(time: Signal, gap: float) -> Int[np.ndarray, "breaks"]:
-    """Samples with which another stretch begins: the clock runs backwards, or on by over `gap` median intervals."""
+    """Return the first samples of new stretches, after a backward time step or one above `gap` median intervals."""
     steps = np.diff(time)
     return np.flatnonzero((steps < 0) | (steps > gap * np.median(steps[steps > 0]))) + 1
 
 
 def find_spikes(signal: Signal) -> Int[np.ndarray, "spikes"]:
-    """Samples that leave their neighbours on both sides the same way, while these are close to each other.
+    """Find spikes: one or two samples off their neighbours in the same direction, with neighbours close to each other.
 
-    The usual second difference and the signal's own step say what is usual, so a fast but smooth motion is no spike.
-    The signal is a position, or another that cannot jump and come back; a spike has one sample or two.
+    The threshold scales with the median second difference and the smallest step, so fast smooth motion is no spike.
+    Only for a position, or another signal that cannot jump and return.
     """
     second = np.abs(np.diff(signal, 2))
     steps = np.abs(np.diff(signal))
@@ -55,13 +55,13 @@ def _find_spikes_of(signal: Signal, usual: float, width: int) -> Int[np.ndarray,
 
 
 def count_spikes(signal: Signal) -> int:
-    """Spikes of a signal as `find_spikes` takes it, one for neighbouring samples."""
+    """Count the spikes from `find_spikes`; adjacent samples count as one."""
     found = find_spikes(signal)
     return len(found) and 1 + int((np.diff(found) > 1).sum())
 
 
 def repair_spikes(signal: Signal) -> Signal:
-    """A signal as `find_spikes` takes it, with a straight line in place of each spike."""
+    """Interpolate linearly across each spike from `find_spikes`."""
     repaired, found = signal.copy(), find_spikes(signal)
     others = np.delete(np.arange(len(signal)), found)
     repaired[found] = np.interp(found, others, signal[others])
@@ -69,7 +69,7 @@ def repair_spikes(signal: Signal) -> Signal:
 
 
 def find_outliers(signal: Signal) -> Bool[np.ndarray, "time"]:
-    """Samples far beyond the range of the others, one or two in a row, of any signal, a held command too."""
+    """Find one or two successive samples far outside the range of the others; for any signal, held commands too."""
     few = min(max(3, round(TOP * len(signal))), (len(signal) - 1) // 4)
     low, high = np.partition(signal, (few, len(signal) - 1 - few))[[few, -1 - few]]
     far = np.maximum(signal - high, low - signal) > FAR * (high - low)
@@ -81,26 +81,26 @@ def find_outliers(signal: Signal) -> Bool[np.ndarray, "time"]:
 
 
 def find_quantum(signal: Signal) -> float | None:
-    """Step of a quantised signal, NaN left out; None where it is not quantised."""
+    """Return the step of a quantised signal, ignoring NaN; None if it is not quantised."""
     steps = np.abs(np.diff(signal))
-    # What is left by arithmetic on the way from counts to radians is no step.
+    # Rounding errors from the conversion of counts to radians are not steps.
     steps = steps[np.isfinite(steps) & (steps > 1e-9 * np.nanmax(np.abs(signal), initial=1e-300))]
     if len(steps) < 2:
         return None
     small = steps[steps < 20 * steps.min()]
     quantum = float(np.median(small / np.round(small / steps.min())))
     ratio = steps / quantum
-    few = ratio < 1000  # beyond, the rounding of the quantum itself decides
+    few = ratio < 1000  # beyond, the quantum's rounding error decides
     whole = np.abs(ratio[few] - np.round(ratio[few])) < 0.1
     return quantum if whole.mean() >= QUANTISED else None
 
 
 def find_noise(signal: Signal) -> float:
-    """Standard deviation of the white noise in a signal that is smooth from sample to sample, in its own unit.
+    """Return the standard deviation of the white noise in a smooth signal, in the signal's unit.
 
-    A d-th difference takes away what a polynomial of that order leaves behind, and multiplies the variance of noise by
-    the binomial coefficient of 2 d over d: of orders up to `_DIFFERENCES`, the least remainder is taken. Rounding to
-    steps counts as noise of a twelfth of their square.
+    The difference of order d removes polynomials of lower order and multiplies the noise variance by the binomial
+    coefficient (2 d, d). The smallest estimate of all orders up to `_DIFFERENCES` is used. Quantisation counts as
+    noise with a variance of one twelfth of the squared step.
 
     Source: P. Hall, J. Kay, D. Titterington, "Asymptotically optimal difference-based estimation of variance in
     nonparametric regression", Biometrika 77(3), 1990.
@@ -112,11 +112,11 @@ def find_noise(signal: Signal) -> float:
 
 
 def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float, float] | None:
-    """Lag of a signal behind what it may be a copy of [s], and its scale against it; None where they are not alike.
+    """Return the lag of a signal behind a reference [s] and its scale against it; None if they are not alike.
 
-    By cross-correlation of uniform samples, `timestep` [s] apart, and a parabola through the peak between them. Noise
-    in the reference lowers the slope of the regression on it, noise in the signal raises the inverse of the slope of
-    the reverse: the scale lies between these two, and is the one there that is nearest to 1.
+    The lag is the peak of the cross-correlation of uniform samples, `timestep` [s] apart, refined by a parabola. Noise
+    in the reference lowers the slope of the signal's regression on it; noise in the signal raises the inverse slope of
+    the reverse regression. The scale lies between the two; the value nearest to 1 is returned.
 
     Source: R. Frisch, "Statistical confluence analysis by means of complete regression systems", 1934, for the bounds.
     """
@@ -137,9 +137,9 @@ def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float,
 
 
 def find_velocity_lag(time: Signal, position: Signal, velocity: Signal) -> tuple[float, float] | None:
-    """Time by which a measured velocity lags the position's zero-phase derivative [s], and its scale against it.
+    """Return the lag of a measured velocity behind the position's zero-phase derivative [s] and its scale against it.
 
-    None where the longest stretch without a gap is too short, or the two are no copies of each other there.
+    None if the longest stretch without a gap is too short, or the two are not alike there.
     """
     grid, positions, velocities = regular_stretch(time, position, velocity)
     if len(grid) < 50:
@@ -148,9 +148,9 @@ def find_velocity_lag(time: Signal, position: Signal, velocity: Signal) -> tuple
 
 
 def regular_stretch(time: Signal, *signals: Signal) -> tuple[Float[np.ndarray, "grid"], ...]:
-    """The longest stretch without a gap on a uniform grid of the median interval, the grid first [s].
+    """Resample the longest stretch without a gap to a uniform grid of the median interval; return grid [s] and signals.
 
-    Samples of which one signal is not finite are left out.
+    Samples at which any signal is not finite are left out.
     """
     known = np.all([np.isfinite(signal) for signal in signals], axis=0)
     time, signals = time[known], tuple(signal[known] for signal in signals)
@@ -167,7 +167,7 @@ def regular_stretch(time: Signal, *signals: Signal) -> tuple[Float[np.ndarray, "
 
 
 def derive_velocity(time: Signal, position: Signal) -> Float[np.ndarray, "grid"]:
-    """Velocity of `regular_stretch`, from the position without spikes [rad/s or m/s]; one 0 where that is too short."""
+    """Derive the velocity on the grid of `regular_stretch` [rad/s or m/s]; a single 0 if that is too short."""
     grid, positions = regular_stretch(time, position)
     return _derive(positions, float(grid[1] - grid[0])) if len(grid) > 20 else np.zeros(1)
 
@@ -177,7 +177,7 @@ def _derive(position: Signal, timestep: float) -> Signal:
 
 
 def check_filter(section: str, cutoff: float, order: int) -> None:
-    """Refuse a cut-off [Hz] and an order that make no filter, the options of the section of that dotted key.
+    """Refuse an impossible cut-off [Hz] or order of a filter; `section` is the dotted key of the options.
 
     Raises:
         ConfigError: The cut-off is not positive, or the order is below 1 or above `MOST_ORDER`.
@@ -190,19 +190,19 @@ def check_filter(section: str, cutoff: float, order: int) -> None:
 def smooth(
     signal: Float[np.ndarray, "time *columns"], timestep: float, cutoff: float, order: int, name: str, option: str
 ) -> Float[np.ndarray, "time *columns"]:
-    """A signal, or each column of one, behind a zero-phase Butterworth low-pass.
+    """Filter a signal, or each of its columns, with a zero-phase Butterworth low-pass.
 
     Args:
         signal: Uniform samples.
         timestep: Sample interval [s].
         cutoff: Cut-off frequency [Hz]; the filter runs forwards and backwards, so the gain there is 1/2.
-        order: Order of the filter, which running it twice doubles.
-        name: The log's name, for messages.
-        option: Where a user sets the cut-off, for messages.
+        order: Order of the filter; the forward and backward passes double it.
+        name: Name of the log, for messages.
+        option: Option of the cut-off, for messages.
 
     Raises:
         LogError: The log is too short to filter.
-        ConfigError: The cut-off is not below half the sample rate, or so low that nothing would be left.
+        ConfigError: The cut-off is not below half the sample rate, or too low for the order.
     """
     if not cutoff < 0.5 / timestep:
         raise ConfigError(
@@ -210,12 +210,12 @@ def smooth(
             "data.units.time"
         )
     sections = np.asarray(scipy.signal.butter(order, cutoff, fs=1 / timestep, output="sos"))
-    padding = 3 * (2 * len(sections) + 1)  # scipy's default, which it refuses to use on a log that is not longer
+    padding = 3 * (2 * len(sections) + 1)  # SciPy's default, which needs a longer log
     if len(signal) <= padding:
         raise LogError(f"{name}: {len(signal)} samples, expected more than {padding} to filter them")
     try:
         return scipy.signal.sosfiltfilt(sections, signal, axis=0, padlen=padding)
-    except np.linalg.LinAlgError:  # its coefficients are 0 but for rounding
+    except np.linalg.LinAlgError:  # the coefficients are 0 except for rounding
         raise ConfigError(
             f"{option}={cutoff:g}: too low for a filter of order {order} at {1 / timestep:g} samples/s; raise it"
         ) from None
@@ -224,14 +224,14 @@ def smooth(
 def estimate_velocity(
     position: Signal, timestep: float, cutoff: float, order: int, name: str, option: str = "data.cutoff"
 ) -> Signal:
-    """Velocity without phase lag: `smooth`, then central differences; arguments and errors are its own.
+    """Estimate a velocity without phase lag by `smooth` and central differences; errors as `smooth`.
 
     Args:
         position: Measured position [rad or m].
         timestep: Sample interval [s].
         cutoff: Cut-off frequency [Hz].
         order: Order of the filter.
-        name: The log's name, for messages.
-        option: Where a user sets the cut-off, for messages.
+        name: Name of the log, for messages.
+        option: Option of the cut-off, for messages.
     """
     return np.gradient(smooth(position, timestep, cutoff, order, name, option), timestep)

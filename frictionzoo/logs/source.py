@@ -1,4 +1,4 @@
-"""The interface of a data source: recordings, divided into those that train and those that test."""
+"""Interface of a data source, which loads training and test recordings."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -9,31 +9,35 @@ from frictionzoo.core.registry import KINDS, Registry
 
 
 class Source(Described, ABC):
-    """What a file of `conf/data` builds. Its attribute `name` is the data set's; of the class, the registered one."""
+    """Data source that a file of `conf/data` configures.
+
+    Attributes:
+        name: Name of the data set; on the class, the registered name.
+    """
 
     name: str
 
     def find(self) -> None:
-        """Look whether the recordings are there, before anything is read or a slow import is waited for.
+        """Check that the recordings exist, before any reading or slow import.
 
         Raises:
-            LogError: A path leads to no file.
+            LogError: A path matches no file.
         """
 
     def for_joints(self, joints: Sequence[str]) -> "Source":
-        """Return the same source for a bench with these joints, whose columns it picks by name where it can."""
+        """Return the same source for a bench with these joints; columns are matched to them by name if possible."""
         return self
 
     @abstractmethod
     def load(self) -> Dataset:
-        """The recordings.
+        """Load the recordings.
 
         Raises:
-            LogError: They are not there, or not what was expected.
+            LogError: They are missing or have unexpected contents.
         """
 
 
 REGISTRY = Registry(KINDS["sources"], Source, "load")
 
 register_source = REGISTRY.register
-"""Class decorator that makes a data source known by its name, as `Registry.register`."""
+"""Class decorator that registers a data source under a name, see `Registry.register`."""

@@ -1,4 +1,4 @@
-"""Which recordings train and which test: by time, by file, or by what the files say of themselves."""
+"""Division of recordings into training and test data: by time, by file or by a field."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,14 +17,15 @@ from frictionzoo.logs.select import is_among, refuse_absent
 
 @dataclass(frozen=True)
 class Split:
-    """A rule that divides recordings into a training and a test part.
+    """Rule that divides recordings into training and test data.
 
     Args:
-        by: `time`: the first block of every log trains, its last one tests; `file`: whole recordings; or a field.
-        test: By file, names or patterns of those that test, or one share of the recordings, which are then spread
-            evenly; by a field, its values that test; empty by time.
-        test_share: By time, the share of each log's samples that tests.
-        gap: By time, what lies between the parts and is in neither [s].
+        by: `time` trains on the first block of every log and tests on the last; `file` divides whole recordings; any
+            other value is a field.
+        test: By file, names or patterns of the test recordings, or their share, evenly spread; by a field, its test
+            values; by time, empty.
+        test_share: By time, test share of each log's samples.
+        gap: By time, length of the unused block between the parts [s].
 
     Raises:
         ConfigError: `test` does not fit `by`.
@@ -48,10 +49,10 @@ class Split:
         return list(self.test) if isinstance(self.test, Sequence) and not isinstance(self.test, str) else [self.test]
 
     def divide(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> tuple[list[Log], list[Log]]:
-        """The logs that train and those that test, out of those of each recording.
+        """Divide the logs of each recording into training and test logs.
 
         Raises:
-            LogError: No recording has what is to test, or nothing is left to train.
+            LogError: No recording matches `test`, or all do, which leaves none to train.
             ConfigError: An option is impossible.
         """
         if self.by == "time":
@@ -92,7 +93,7 @@ class Split:
 
 
 def _spread(share: float, count: int) -> Bool[np.ndarray, "recordings"]:
-    """A share of the recordings, evenly spread, at least one."""
+    """Choose a share of the recordings, evenly spread, at least one."""
     if not 0 < share < 1:
         raise ConfigError(f"data.split.test={share:g} with by=file; expected names or a share between 0 and 1")
     chosen = np.zeros(count, dtype=bool)
@@ -106,5 +107,5 @@ def _is_called(name: str, pattern: str) -> bool:
 
 
 def _last_part(name: str) -> str:
-    """A file's name without its folders, or a member's name without its archive."""
+    """Return a file's name without its folders, or a member's name without its archive and folders."""
     return name.rpartition("!")[2].replace("\\", "/").rpartition("/")[2]

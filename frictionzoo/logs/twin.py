@@ -1,4 +1,4 @@
-"""A simulated copy of the paper's bench: the embedded default data, and a drive whose truth is known."""
+"""Simulated copy of the paper's bench, the default data set, with known true parameters."""
 
 import hashlib
 import json
@@ -20,25 +20,25 @@ from frictionzoo.logs.cache import cache_folder, cached, digest
 from frictionzoo.logs.signals import Signal
 from frictionzoo.logs.source import Source, register_source
 
-FORMAT = 1  # raise it with every change of the simulation, so that no cache of an older one is taken
-MOST_STEPS = 100_000_000  # of a simulation: some ten minutes
+FORMAT = 1  # increase with every change of the simulation to invalidate older caches
+MOST_STEPS = 100_000_000  # of a simulation, about ten minutes
 States = Float[np.ndarray, "time nv"]
 Part = TypeVar("Part", bound=Any)  # any dataclass
-DIVERGED = 1e6  # torque [N m] that no sane drive reaches; above 1e10 MuJoCo itself would reset the state and go on
+DIVERGED = 1e6  # implausible torque [N m]; above 1e10 MuJoCo would reset the state and continue
 SIGNALS = ("time", "qpos", "qvel", "ctrl")
 MOST_HARMONICS = 1000
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """The paper's excitation: v_des = sum of A_k sin(w_k t + phi_k), clipped; the command q_des is its integral.
+    """The paper's excitation, v_des = sum of A_k sin(w_k t + phi_k), clipped; the command q_des is its integral.
 
     Attributes:
         harmonics: Number of terms.
         amplitude: Range of A_k [rad/s].
         frequency: Range of w_k [rad/s].
         phase: Range of phi_k [rad].
-        velocity_limit: v_des is clipped at this speed [rad/s].
+        velocity_limit: Largest speed of v_des [rad/s].
     """
 
     harmonics: int
@@ -59,10 +59,9 @@ class Excitation:
             raise ConfigError(f"data.excitation.velocity_limit={limit:g}: expected a positive speed in rad/s")
 
     def command(self, time: Signal, rng: np.random.Generator) -> Signal:
-        """Desired position [rad] at these times [s].
+        """Return the desired position [rad] at these times [s].
 
-        The clipped sum has a small mean, which would carry the integral away over minutes: its straight line is
-        removed.
+        The clipped sum has a small mean, so its integral drifts over minutes; a straight line is subtracted.
         """
         bounds = self.amplitude, self.frequency, self.phase
         amplitude, frequency, phase = (rng.uniform(low, high, self.harmonics) for low, high in bounds)
@@ -74,23 +73,23 @@ class Excitation:
 
 @dataclass(frozen=True)
 class HiddenDrive:
-    """What the identification does not know.
+    """Drive of the simulation, unknown to the identification.
 
     Friction torque = (coulomb_torque + (static_torque - coulomb_torque) exp(-(v / stribeck_velocity)^2)
     + load_share |tau| + ripple_torque sin(ripple_periods q)) tanh(v / smoothing_velocity) + viscous_coefficient v,
-    with tau the motor torque.
+    where tau is the motor torque.
 
     Attributes:
         armature: Reflected inertia [kg m^2].
         coulomb_torque: Dry friction at high speed [N m].
         static_torque: Dry friction at low speed [N m].
-        stribeck_velocity: Speed over which the one goes over into the other [rad/s].
-        viscous_coefficient: Friction per speed [N m s/rad].
-        smoothing_velocity: Speed over which dry friction changes its sign [rad/s].
-        load_share: Dry friction per motor torque, as gears under load have it.
-        ripple_torque: Amplitude of the dry friction's change with position [N m].
-        ripple_periods: Periods of this change per radian [rad/rad].
-        command_delay: Time by which a command acts late [s].
+        stribeck_velocity: Speed scale of the transition from static to Coulomb torque [rad/s].
+        viscous_coefficient: Viscous friction coefficient [N m s/rad].
+        smoothing_velocity: Speed scale of the sign change of dry friction [rad/s].
+        load_share: Dry friction per motor torque, as in loaded gears.
+        ripple_torque: Amplitude of the ripple of dry friction over position [N m].
+        ripple_periods: Angular frequency of the ripple over position [rad/rad].
+        command_delay: Delay from a command to its effect [s].
     """
 
     armature: float
@@ -113,7 +112,7 @@ class HiddenDrive:
                 raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
 
     def friction(self, qpos: float, qvel: float, motor_torque: float) -> float:
-        """Friction torque [N m], positive against positive qvel [rad/s]; the motor's is that on the output side."""
+        """Return friction torque [N m], positive at positive qvel [rad/s]; motor torque on the output side [N m]."""
         dry = (
             self.coulomb_torque
             + (self.static_torque - self.coulomb_torque) * math.exp(-((qvel / self.stribeck_velocity) ** 2))
@@ -125,7 +124,7 @@ class HiddenDrive:
 
 @dataclass(frozen=True)
 class Controller:
-    """The drive's embedded position controller, tau = kp (q_des - q) - kd v, kp [N m/rad] and kd [N m s/rad]."""
+    """Position controller of the drive, tau = kp (q_des - q) - kd v, with kp [N m/rad] and kd [N m s/rad]."""
 
     kp: float
     kd: float
@@ -133,11 +132,11 @@ class Controller:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What measuring adds.
+    """Measurement errors of the sensors.
 
     Attributes:
         position_quantum: Step of the encoder [rad]; 0 for none.
-        velocity_noise: Standard deviation of the velocity's white noise [rad/s].
+        velocity_noise: Standard deviation of white noise on the velocity [rad/s].
     """
 
     position_quantum: float
@@ -149,7 +148,7 @@ class Sensor:
                 raise ConfigError(f"data.sensor.{name}={getattr(self, name):g}: expected 0 or more")
 
     def measure(self, qpos: States, qvel: States, rng: np.random.Generator) -> tuple[States, States]:
-        """Measured position [rad] and velocity [rad/s]."""
+        """Return the measured position [rad] and velocity [rad/s]."""
         if self.position_quantum:
             qpos = np.round(qpos / self.position_quantum) * self.position_quantum
         return qpos, qvel + self.velocity_noise * rng.standard_normal(qvel.shape)
@@ -157,7 +156,7 @@ class Sensor:
 
 @register_source("twin")
 class Twin(Source):
-    """The paper's bench with a hidden drive, simulated by MuJoCo C; train and test are two blocks of one recording.
+    """The paper's bench with a hidden drive, simulated in MuJoCo C; training and test data are blocks of one recording.
 
     The sections `excitation`, `controller`, `drive` and `sensor` have the attributes of `Excitation`, `Controller`,
     `HiddenDrive` and `Sensor`.
@@ -165,13 +164,13 @@ class Twin(Source):
     Source: V. Kovalev et al., Proceedings of MIPT 18(2), 2026: bench, controller, excitation, length of the recording.
 
     Args:
-        name: The data set's name.
-        seed: Seed of the excitation and of the noise.
-        samples: Length of the recording.
+        name: Name of the data set.
+        seed: Seed of excitation and noise.
+        samples: Number of samples of the recording.
         timestep: Sample interval [s].
-        substeps: Simulation steps in a sample interval. More than one, so that a fit at the sample interval does not
-            meet its own integrator.
-        mjcf: File name of one of the package's benches, with one hinge.
+        substeps: Simulation steps in a sample interval. Several steps keep the data from sharing the integration
+            error of a fit at the sample interval.
+        mjcf: File name of a bench in the package, with one hinge.
         split: `test_share` and `gap` of `split_by_time`.
         cache_dir: See `cache_folder`.
 
@@ -216,7 +215,7 @@ class Twin(Source):
         self.sensor = _section(Sensor, "sensor", sensor)
 
     def load(self) -> Dataset:
-        """The recording, made or from the cache, split by time.
+        """Load the recording from the cache, or simulate it, and split it by time.
 
         Raises:
             LogError: The simulation diverges, or the split leaves a part empty.
@@ -230,7 +229,7 @@ class Twin(Source):
         return Dataset(self.name, (train,), (test,))
 
     def cache_file(self) -> Path | None:
-        """Where the recording is kept, under a hash of everything that it depends on; None without a cache."""
+        """Return the cache file of the recording, named by a hash of all its settings; None without a cache."""
         if self.cache_dir is None:
             return None
         settings = {
@@ -245,7 +244,7 @@ class Twin(Source):
         return self.cache_dir / f"{self.name}-{key}.npz"
 
     def _record(self) -> dict[str, np.ndarray]:
-        """Time [s], qpos [rad], qvel [rad/s] and ctrl (the desired position [rad]) as a log has them."""
+        """Simulate time [s], qpos [rad], qvel [rad/s] and ctrl (desired position [rad]) with sensor errors."""
         rng = np.random.default_rng(self.seed)
         time = np.arange(self.samples) * self.timestep
         ctrl = self.excitation.command(time, rng)
@@ -254,10 +253,10 @@ class Twin(Source):
         return {"time": time, "qpos": qpos, "qvel": qvel, "ctrl": ctrl[:, None]}
 
     def simulate(self, ctrl: Signal) -> tuple[States, States]:
-        """True position [rad] and velocity [rad/s] at the samples, from rest at the first command.
+        """Simulate true position [rad] and velocity [rad/s] at the samples, from rest at the first command.
 
         Args:
-            ctrl: Desired position [rad], one for each of `samples`, held over a sample interval.
+            ctrl: Desired position at each sample, held over the sample interval [rad].
 
         Raises:
             LogError: The simulation diverges.
@@ -289,7 +288,7 @@ class Twin(Source):
             )
 
     def _spec(self) -> mujoco.MjSpec:
-        """The bench with the hidden armature, at the simulation's step."""
+        """Return the bench with the hidden armature and the simulation's timestep."""
         spec = mujoco.MjSpec.from_string(self.mjcf)
         spec.option.timestep = self.timestep / self.substeps
         spec.joints[0].armature = self.drive.armature
@@ -297,7 +296,7 @@ class Twin(Source):
 
 
 def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
-    """A part from its section of the configuration; ConfigError where the two do not fit."""
+    """Build a part from its section of the configuration; ConfigError if they do not match."""
     types = {field.name: field.type for field in fields(part)}
     for key in set(given) - set(types):
         raise ConfigError(f"data.{name}.{key}: unknown option; {closest(str(key), types)}")
@@ -319,7 +318,7 @@ def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
 
 
 def _packaged_bench(file_name: str) -> str:
-    """Text of one of the package's MJCF benches."""
+    """Return the text of an MJCF bench in the package."""
     folder = resources.files("frictionzoo") / "bench" / "assets"
     available = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".xml"))
     if file_name not in available:

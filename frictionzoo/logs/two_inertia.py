@@ -1,4 +1,4 @@
-"""A simulated drive with play: motor and load are joints of their own, coupled through a gap that is known."""
+"""Simulated drive with backlash: separate motor and load joints, coupled through a known gap."""
 
 import math
 from dataclasses import dataclass
@@ -11,26 +11,26 @@ from frictionzoo.logs.signals import Signal
 from frictionzoo.logs.source import register_source
 from frictionzoo.logs.twin import States, Twin
 
-LIGHT = 1e-3  # kg m^2: what turns a lighter rotor counts by its acceleration, at which MuJoCo too resets the state
+LIGHT = 1e-3  # kg m^2; the divergence check of lighter rotors limits acceleration, at which MuJoCo resets the state
 
 
 @dataclass(frozen=True)
 class HiddenCoupling:
-    """What the identification does not know: a rotor, and the coupling that turns the bench's joint.
+    """Rotor and coupling that drive the bench's joint, unknown to the identification.
 
-    Coupling torque = stiffness (x - gap / 2) + coupling_damping dx/dt in contact ahead, x >= gap / 2, the same behind,
-    x <= -gap / 2, and 0 in between; x is the rotor's angle ahead of the load. Friction torque of the rotor
-    = frictionloss w / sqrt(w^2 + smoothing_velocity^2) + damping w, w its velocity.
+    Coupling torque = stiffness (x - gap / 2) + coupling_damping dx/dt for x > gap / 2, stiffness (x + gap / 2)
+    + coupling_damping dx/dt for x < -gap / 2, otherwise 0; x is the rotor's angle ahead of the load. Friction torque
+    of the rotor = frictionloss w / sqrt(w^2 + smoothing_velocity^2) + damping w; w is the rotor's velocity.
 
     Attributes:
-        armature: Inertia of the load besides the bench's bodies [kg m^2].
-        rotor_inertia: Inertia of the rotor, seen from the load [kg m^2].
-        gap: From contact to contact [rad].
-        stiffness: Of the coupling [N m/rad].
-        coupling_damping: Of the coupling [N m s/rad].
+        armature: Inertia of the load in addition to the bench's bodies [kg m^2].
+        rotor_inertia: Inertia of the rotor, reflected to the load [kg m^2].
+        gap: Angle from contact to contact [rad].
+        stiffness: Stiffness of the coupling [N m/rad].
+        coupling_damping: Damping of the coupling [N m s/rad].
         frictionloss: Dry friction of the rotor [N m].
-        damping: Viscous friction of the rotor [N m s/rad].
-        smoothing_velocity: Speed over which dry friction changes its sign [rad/s].
+        damping: Viscous friction coefficient of the rotor [N m s/rad].
+        smoothing_velocity: Speed scale of the sign change of dry friction [rad/s].
     """
 
     armature: float
@@ -51,31 +51,31 @@ class HiddenCoupling:
                 raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
 
     def coupling(self, ahead: float, faster: float) -> float:
-        """Torque from the rotor, so far ahead of the load [rad] and so much faster [rad/s], to the load [N m]."""
+        """Return the torque on the load [N m] from the rotor's lead [rad] and its relative velocity [rad/s]."""
         bend = ahead - math.copysign(min(abs(ahead), self.gap / 2), ahead)
         return self.stiffness * bend + self.coupling_damping * faster if bend else 0.0
 
     def friction(self, rotor_velocity: float) -> float:
-        """Friction torque of the rotor [N m], positive against positive velocity [rad/s]."""
+        """Return the friction torque of the rotor [N m], positive at positive velocity [rad/s]."""
         dry = self.frictionloss * rotor_velocity / math.hypot(rotor_velocity, self.smoothing_velocity)
         return dry + self.damping * rotor_velocity
 
 
 @register_source("two_inertia")
 class TwoInertia(Twin):
-    """The paper's bench driven by a rotor through a coupling with play, simulated by MuJoCo C; the load is measured.
+    """The paper's bench, driven by a rotor through a coupling with backlash, simulated in MuJoCo C; sensor at the load.
 
-    Source: of bench, controller and excitation as `Twin`; of the coupling M. Nordin, P.-O. Gutman, "Controlling
-    mechanical systems with backlash - a survey", Automatica 38(10), 2002, the dead-zone model.
+    Source: bench, controller and excitation as `Twin`; coupling: dead-zone model of M. Nordin, P.-O. Gutman,
+    "Controlling mechanical systems with backlash - a survey", Automatica 38(10), 2002.
 
-    Arguments are those of `Twin`, with the section of `HiddenCoupling` for `drive`.
+    Arguments as `Twin`; the section `drive` has the attributes of `HiddenCoupling`.
     """
 
     hidden = HiddenCoupling
     drive: HiddenCoupling
 
     def simulate(self, ctrl: Signal) -> tuple[States, States]:
-        """See `Twin.simulate`: true position [rad] and velocity [rad/s] of the load."""
+        """Simulate true position [rad] and velocity [rad/s] of the load, see `Twin.simulate`."""
         model = self._spec().compile()
         data = mujoco.MjData(model)
         load, rotor = (model.joint(name).dofadr[0] for name in (model.joint(0).name, "rotor"))
@@ -95,7 +95,7 @@ class TwoInertia(Twin):
         return states[:, :1], states[:, 1:]
 
     def _spec(self) -> mujoco.MjSpec:
-        """The bench, and a balanced rotor beside it, on which gravity has no effect."""
+        """Return the bench with an added balanced rotor, which gravity does not turn."""
         spec = super()._spec()
         axis = spec.joints[0].axis.copy()
         rotor = spec.worldbody.add_body(name="rotor", mass=1.0, inertia=3 * [self.drive.rotor_inertia])

@@ -1,4 +1,4 @@
-"""Units that recordings come in, and what they are in SI."""
+"""Units of recorded signals and their conversion to SI."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from jaxtyping import Float, Real
 from frictionzoo.core.errors import ConfigError, closest
 
 Ratio = tuple[float, float]
-"""SI units in one unit, as a fraction: a division by 1000 is exact to the last bit, a factor of 0.001 is not."""
+"""SI units per unit, as numerator and denominator: dividing by 1000 is exact to the last bit, a factor 0.001 is not."""
 
 POSITION: Mapping[str, Ratio] = {
     **{"rad": (1.0, 1.0), "mrad": (1.0, 1e3), "deg": (math.pi, 180.0), "rev": (math.tau, 1.0)},
@@ -39,18 +39,18 @@ UNITS: Mapping[str, Mapping[str, Ratio]] = {
     "enable": {"1": (1.0, 1.0)},
     "temperature": {"degC": (1.0, 1.0)},
 }
-"""Units of each signal by name; the first is what a recording is in unless something says otherwise."""
+"""Units of each signal by name; the first is the default."""
 
 
 def ratio(signal: str, unit: str) -> Ratio:
-    """SI units in one unit of a signal, as a fraction.
+    """Return the number of SI units in one unit of a signal, as a fraction.
 
     Args:
         signal: One of `SIGNALS`.
-        unit: A name, with or without its spaces; or a number, the SI units in one step of a raw register.
+        unit: Name, with or without spaces; or a number, the SI units per step of a raw register.
 
     Raises:
-        ConfigError: The signal has no such unit; the message names the closest.
+        ConfigError: The signal has no such unit.
     """
     known = UNITS[signal]
     for name, fraction in known.items():
@@ -66,10 +66,10 @@ def ratio(signal: str, unit: str) -> Ratio:
 
 
 def to_si(values: Real[np.ndarray, "rows"], fraction: Ratio) -> Float[np.ndarray, "rows"]:
-    """Values in SI units; those that are in SI already keep every bit."""
+    """Convert values to SI units; values already in SI keep every bit."""
     numerator, denominator = fraction
     scaled = values.astype(np.float64)
-    with np.errstate(over="ignore"):  # an absurd number, which `to_recording` tells
+    with np.errstate(over="ignore"):  # `to_recording` refuses absurd numbers
         if numerator != 1:
             scaled = scaled * numerator
         return scaled / denominator

@@ -1,4 +1,4 @@
-"""Recorded velocities beside positions: columns that show no motion, and columns of another unit or joint."""
+"""Check of recorded velocities against positions: columns without motion, in another unit or of another joint."""
 
 from collections.abc import Iterable, Sequence
 
@@ -8,44 +8,44 @@ from jaxtyping import Float
 from frictionzoo.core.errors import LogError
 from frictionzoo.logs.signals import Signal, derive_velocity, find_velocity_lag, repair_spikes
 
-DEAD = 0.01  # of the spread of the position's derivative, below which a velocity unlike it shows no motion
-COMPARED = 200  # samples from which on a measured velocity is compared with the position
-SAME_UNIT = 3.0  # factor between velocity and derivative that a unit does not explain; a filter may take off some
+DEAD = 0.01  # share of the spread of the position's derivative, below which an unrelated velocity shows no motion
+COMPARED = 200  # fewest samples for comparing a measured velocity with the position
+SAME_UNIT = 3.0  # largest ratio of velocity and derivative in the same unit; a filter may lower the velocity
 
 Columns = Float[np.ndarray, "time columns"]
-"""Samples of a signal of all joints."""
+"""Samples of one signal, one column a joint."""
 
 
 def find_dead_velocities(time: Signal, qpos: Columns, qvel: Columns, gap: float) -> dict[int, str]:
-    """Find joints whose recorded velocity is missing, constant or shows nothing of the motion.
+    """Find joints whose recorded velocity is missing, constant or shows no motion.
 
     Args:
         time: Sample times [s].
-        qpos: Recorded positions [rad or m]; NaN where one is missing.
-        qvel: Recorded velocities [rad/s or m/s]; NaN where one is missing.
-        gap: Median intervals from one sample to the next beyond which a recording has a gap.
+        qpos: Recorded positions [rad or m]; NaN where missing.
+        qvel: Recorded velocities [rad/s or m/s]; NaN where missing.
+        gap: Longest interval that is not a gap, in median intervals.
 
     Returns:
-        A sentence about each such joint, by its number.
+        A sentence about each such joint, by joint number.
     """
     faults = (_find_fault(time, *pair, gap) for pair in zip(qpos.T, qvel.T, strict=True))
     return {joint: f"qvel{of_joints([joint], qvel)} {fault}" for joint, fault in enumerate(faults) if fault}
 
 
 def _find_fault(time: Signal, position: Signal, velocity: Signal, gap: float) -> str:
-    """Return why one shows nothing of the motion, such as `is constant`; empty where it does.
+    """Return why a velocity shows no motion; empty if it does show the motion.
 
     Args:
         time: Sample times [s].
-        position: Recorded position of the joint [rad or m]; NaN where it is missing.
-        velocity: Recorded velocity of the joint [rad/s or m/s]; NaN where it is missing.
-        gap: Median intervals from one sample to the next beyond which a recording has a gap.
+        position: Recorded position of the joint [rad or m]; NaN where missing.
+        velocity: Recorded velocity of the joint [rad/s or m/s]; NaN where missing.
+        gap: Longest interval that is not a gap, in median intervals.
     """
     known = np.isfinite(position)
     there = known & np.isfinite(velocity)
     if there.sum() * gap < known.sum():
         return f"is missing in {100 * (1 - there.sum() / known.sum()):.3g} % of the samples"
-    if not known.any() or not np.ptp(position[known]) > 0:  # a velocity of 0 is right
+    if not known.any() or not np.ptp(position[known]) > 0:  # a velocity of 0 is correct at rest
         return ""
     if not np.ptp(velocity[there]) > 0:
         return f"is constantly {velocity[there][0]:.3g} while qpos moves"
@@ -59,17 +59,17 @@ def compare_velocities(name: str, time: Signal, qpos: Columns, qvel: Columns, jo
     """Compare measured velocities with positions.
 
     Args:
-        name: Of the recording, for messages.
+        name: Name of the recording, for messages.
         time: Sample times [s].
         qpos: Positions [rad or m].
         qvel: Velocities [rad/s or m/s].
         joints: Numbers of the joints to compare.
 
     Returns:
-        A sentence about the joints whose velocity is no copy of their position's derivative, if there are any.
+        A sentence about the joints whose velocity does not match the position's derivative; empty if all match.
 
     Raises:
-        LogError: A velocity has another unit than its position.
+        LogError: The units of a velocity and its position differ.
     """
     unlike = []
     for joint in joints if len(time) >= COMPARED else ():
@@ -91,6 +91,6 @@ def compare_velocities(name: str, time: Signal, qpos: Columns, qvel: Columns, jo
 
 
 def of_joints(joints: Sequence[int], values: Columns) -> str:
-    """Return ` of joint 2` or ` of joints 1, 3` for messages; nothing where all joints are meant."""
+    """Return ` of joint 2` or ` of joints 1, 3` for messages; empty for all joints."""
     numbers = ", ".join(str(joint + 1) for joint in joints)
     return "" if len(joints) == values.shape[1] else f" of joint{'s' if len(joints) > 1 else ''} {numbers}"

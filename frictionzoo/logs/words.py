@@ -1,12 +1,12 @@
-"""Words of headers: which of them speak of a signal, which say nothing, and how a header splits into them.
+"""Vocabulary of column headers: words that name signals, words without meaning, and how headers split into words.
 
-This is the one place that knows the prefixes and suffixes of signals, such as `q_`, `dq_`, `tau_`, `_pos`, `_velocity`.
+Only this module knows the prefixes and suffixes of signals, such as `q_`, `dq_`, `tau_`, `_pos`, `_velocity`.
 """
 
 import re
 from collections.abc import Sequence
 
-# The most telling first: a goal_position is a command, and torque_enable no torque.
+# Ordered by precedence: goal_position is a command, torque_enable is not a torque.
 COMMANDED = "goal cmd target ctrl command commands commanded reference ref setpoint desired des action u ff feedforward"
 VELOCITY = "dq qd qvel vel velocity velocities speed omega qdot dot"
 POSITION = "q qpos pos position positions angle angles theta state qm"
@@ -27,25 +27,25 @@ TORQUE = frozenset(("torque", "torques", "tau", "tor", "trq", "effort", "efforts
 MEASURED = frozenset(("est", "estimated", "meas", "measured", "actual", "act", "sensor"))
 ACCELERATION = frozenset(("acc", "accel", "acceleration", "accelerations", "ddq", "qdd", "qacc", "ddot", "qddot"))
 GENERIC = frozenset(("joint", "joints", "jnt", "motor", "motors", "actuator", "actuators", "servo"))
-"""Words of joints' names that tell no joint from another."""
+"""Words of joint names that do not distinguish joints."""
 SILENT = GENERIC | frozenset(("states", "observation", "data", "value", "values", "robot", "raw", "rad", "deg", "nm"))
-"""Words of headers that tell no joint and no signal."""
+"""Words of headers that name neither a joint nor a signal."""
 KNOWN = frozenset(word for _, words in SIGNAL_WORDS for word in words.split()) | MEASURED | ACCELERATION | SILENT
-_JOINED = re.compile(r"(q|dq|qd|tau|tor|pos|vel)(cmd|des|ref|ff|est|meas)")  # a word of two: qcmd
+_JOINED = re.compile(r"(q|dq|qd|tau|tor|pos|vel)(cmd|des|ref|ff|est|meas)")  # two words in one, such as qcmd
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
 def split(text: str) -> list[str]:
-    """Return the words and numbers of a header or a joint's name in lower case: `qpos_FLHip[07]` has four.
+    """Split a header or joint name into lower-case words and numbers: `qpos_FLHip[07]` gives four parts.
 
-    Words end where a separator, a number, or a capital of CamelCase follows. Numbers have no leading zeros.
+    Separators, numbers and the capitals of CamelCase end a word. Numbers lose leading zeros.
     """
     parts = [part for run in re.findall(r"[^\W\d_]+|\d+", text) for part in _CAMEL.split(run)]
     return [str(int(part)) if part.isdecimal() else part.casefold() for part in parts]
 
 
 def list_words(parts: Sequence[str]) -> list[str]:
-    """Return the words among what `split` gives, with `qcmd` as two and `d q` as one."""
+    """Return the words among the parts from `split`, with `qcmd` as two words and `d q` as one."""
     words: list[str] = []
     for part in parts:
         joined = _JOINED.fullmatch(part)
@@ -57,25 +57,25 @@ def list_words(parts: Sequence[str]) -> list[str]:
 
 
 def find_signal(words: Sequence[str]) -> tuple[str, int] | None:
-    """Return the signal of which words speak and how plainly, the lower the number, the plainer; None for none.
+    """Return the signal that words name, and a rank (lower is clearer); None if they name no signal.
 
-    `effort` is a torque or what stands for one, which is a command or a measurement.
+    `effort` stands for a torque, force, current, voltage or PWM value, commanded or measured.
     """
     said = {*words}
     if said & ACCELERATION:
         return None
     for place, (signal, telling) in enumerate(SIGNAL_WORDS):
         if said.isdisjoint(telling.split()) or (signal in ("qpos", "kp", "kd") and said & TORQUE):
-            continue  # state.tau_est is no position, torKdEst no gain
+            continue  # state.tau_est is not a position, torKdEst not a gain
         found = _find_commanded(said) if telling is COMMANDED else signal
-        # Of several commands, one that speaks of a position is the desired position.
+        # A header with a position word is preferred as the position command.
         vague = found == "ctrl" and said.isdisjoint(POSITION.split())
         return (found, 10 * place + len(words) + 5 * vague) if found else None
     return None
 
 
 def _find_commanded(words: set[str]) -> str | None:
-    """Return what a command is a command of; None where it is fed forward and does not say what it is."""
+    """Return the signal of a command; None for a feed-forward term of unknown quantity."""
     if not words.isdisjoint(VELOCITY.split()):
         return "ctrl_velocity"
     if TORQUE & words:

@@ -1,1 +1,1 @@
-"""What a run found, and how it is judged: rollouts against recordings, and the record `result.json`."""
+"""Results of a run and their evaluation: rollouts compared with recordings, and `result.json`."""

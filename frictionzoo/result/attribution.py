@@ -1,4 +1,4 @@
-"""What goes with an error: the share of it that functions of the drive's state explain, and whether chance does so."""
+"""Shares of an error that functions of the drive's state explain, and their significance."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -7,15 +7,15 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
-STRETCHES = 50  # of time, whose scores count as independent
-ROWS = 20  # in a stretch at the least
-LASTING = 4.0  # times the rows over which errors are alike that a stretch is long
-FOLDS = 5  # by turns held out, of stretches
-LEVEL = 0.01  # chance that a drive with the right law has any finding, over all that is tried
-SHARE = 0.05  # of the variance that is left, below which nothing is told
-MOST = 3  # findings
-ALIKE = 0.85  # share of the largest gain from which on the candidate that was named first is taken
-_SPANNED = 1e-4  # share of a column's size, of which less is left if others span it
+STRETCHES = 50  # most stretches of time; their scores count as independent
+ROWS = 20  # fewest in a stretch
+LASTING = 4.0  # length of a stretch, in correlation lengths of the error
+FOLDS = 5  # groups of stretches for cross-validation
+LEVEL = 0.01  # chance of any finding with the right model, over all candidates tried
+SHARE = 0.05  # of the variance beyond the known columns; smaller shares are not reported
+MOST = 3  # most findings
+ALIKE = 0.85  # share of the largest gain; the first candidate that reaches it is taken
+_SPANNED = 1e-4  # relative size of the remainder below which other columns span a column
 
 Column = Float[np.ndarray, "rows"]
 Columns = Float[np.ndarray, "rows _"]
@@ -28,7 +28,7 @@ class Candidate(NamedTuple):
 
     Attributes:
         columns: Their values in each row.
-        tried: How many like it were looked through to choose it.
+        tried: Number of similar candidates from which it was chosen.
     """
 
     columns: Columns
@@ -40,8 +40,9 @@ class Explained(NamedTuple):
 
     Attributes:
         name: Its name.
-        share: Of the variance that the known columns leave, what it explains of held-out rows beyond those before it.
-        chance: That an error which has nothing to do with it scores as high, times the number of candidates.
+        share: Share of the variance beyond the known columns that it explains in held-out rows, in addition to the
+            candidates found before it.
+        chance: Probability that an unrelated error scores as high, times the number of candidates.
     """
 
     name: str
@@ -56,21 +57,24 @@ def attribute(
     joints: int = 1,
     usual: Usual = lambda name, before: 0.0,
 ) -> list[Explained]:
-    """Candidates that explain an error, the largest share first, each beyond those found before it.
+    """Find the candidates that explain an error, each in addition to those found before it.
 
-    The error is first freed of what `known` columns explain. A candidate counts if its coefficients are not 0 by Wald's
-    test, with a covariance from the differences between stretches of time, within which errors may depend on each other
-    as they like; and if it lowers the error in stretches that were held out. Where factors are usual, 0 is there.
+    The error is first projected off the `known` columns. A candidate counts if Wald's test rejects that its
+    coefficients equal the usual factors, and if it lowers the error in held-out stretches. The covariance comes from
+    the differences between stretches of time, within which errors may be correlated.
 
     Source: A. C. Cameron, D. L. Miller, "A Practitioner's Guide to Cluster-Robust Inference", Journal of Human
     Resources 50(2), 2015, section VI, the jackknife CR3.
 
     Args:
-        error: In each row.
-        known: What the law's own parameters may still move.
-        candidates: By name, in the order in which they are preferred where they explain as much.
-        joints: Number of joints that are looked at so.
-        usual: Factors of a candidate's columns, beyond those found before it, where nothing is wrong.
+        error: Error of each row.
+        known: Effect of the model's parameters on the error.
+        candidates: Candidates by name; of those that explain as much, the first is preferred.
+        joints: Number of joints tested in this way.
+        usual: Factors of a candidate's columns without model error, beyond those found before it.
+
+    Returns:
+        Significant candidates, largest share first.
     """
     found: list[Explained] = []
     count = joints * sum(candidate.tried for candidate in candidates.values())
@@ -89,7 +93,7 @@ def attribute(
 
 
 def find_factors(error: Column, known: Columns, columns: Columns) -> Float[np.ndarray, "_"]:
-    """Return the factors of columns in an error beyond the known ones."""
+    """Return the factors of columns in an error, beyond the known columns."""
     basis = _orthogonal(known)
     beyond = _beyond(columns, basis)
     factors = np.linalg.lstsq(beyond / _sizes(beyond), error - basis @ (basis.T @ error), rcond=_SPANNED)[0]
@@ -97,7 +101,7 @@ def find_factors(error: Column, known: Columns, columns: Columns) -> Float[np.nd
 
 
 def pick(error: Column, known: Columns, choices: Sequence[Columns]) -> int:
-    """Which of many sets of columns explains most of an error beyond the known ones."""
+    """Return the index of the set of columns that explains most of an error beyond the known columns."""
     basis = _orthogonal(known)
     rest = error - basis @ (basis.T @ error)
     explained = []
@@ -108,18 +112,18 @@ def pick(error: Column, known: Columns, choices: Sequence[Columns]) -> int:
 
 
 def correlation(error: Column) -> float:
-    """Correlation of neighbouring rows; 0 of a constant."""
+    """Return the correlation of neighbouring rows; 0 for a constant."""
     rest = error - error.mean()
     return float(rest[1:] @ rest[:-1] / max(float(rest @ rest), 1e-300))
 
 
 def excess(error: Column) -> float:
-    """Excess kurtosis; 0 of normal noise."""
+    """Return the excess kurtosis; 0 for normal noise."""
     return float(scipy.stats.kurtosis(error)) if np.ptp(error) > 0 else 0.0
 
 
 def _left_by(known: Columns, error: Column) -> float:
-    """Sum of squares that known columns leave."""
+    """Return the sum of squares that the known columns do not explain."""
     basis = _orthogonal(known)
     return max(float(error @ error - np.square(basis.T @ error).sum()), 1e-300)
 
@@ -127,7 +131,7 @@ def _left_by(known: Columns, error: Column) -> float:
 def _try(
     error: Column, known: Columns, name: str, candidate: Candidate, count: int, whole: float, usual: Factors
 ) -> Explained | None:
-    """What a candidate explains beyond known columns, of a whole sum of squares, if that is no chance and enough."""
+    """Test a candidate beyond the known columns; None if it is insignificant or explains too little of `whole`."""
     basis = _orthogonal(known)
     columns = _orthogonal(_beyond(candidate.columns, basis))
     ordinary = (candidate.columns * usual).sum(axis=1)
@@ -139,21 +143,21 @@ def _try(
         return None
     chance = min(1.0, count * _chance(rest, columns, stretch))
     share = (float(rest @ rest) - _held_out(rest, columns, stretch % FOLDS)) / whole
-    # What is unusual counts only where the error has more of it than usual, and not less.
+    # Only deviations from the usual factors that increase the error count.
     return Explained(name, share, chance) if chance <= LEVEL and min(share, more) >= SHARE else None
 
 
 def _stretches(error: Column) -> Int[np.ndarray, "rows"]:
-    """Number of the stretch of time of each row; stretches are long beside the time over which errors are alike."""
+    """Return the stretch number of each row; stretches are long compared with the correlation time of the error."""
     alike = min(max(correlation(error), 0.0), 0.99)
     count = max(1, min(STRETCHES, int(len(error) / max(ROWS, LASTING * (1 + alike) / (1 - alike)))))
     return np.arange(len(error)) * count // len(error)
 
 
 def _chance(error: Column, columns: Columns, stretch: Int[np.ndarray, "rows"]) -> float:
-    """Probability of coefficients of orthonormal columns as far from 0 if they are 0.
+    """Return the probability of coefficients of orthonormal columns at least as far from 0 if they are 0.
 
-    Their covariance is that of the jackknife over stretches, the more careful one where few stretches say most.
+    The jackknife over stretches gives their covariance; it is conservative where few stretches dominate.
     """
     count, size = int(stretch[-1]) + 1, columns.shape[1]
     parts = np.split(np.arange(len(error)), np.searchsorted(stretch, np.arange(1, count)))
@@ -168,7 +172,7 @@ def _chance(error: Column, columns: Columns, stretch: Int[np.ndarray, "rows"]) -
 
 
 def _held_out(error: Column, columns: Columns, folds: Int[np.ndarray, "rows"]) -> float:
-    """Sum of squares that orthonormal columns leave of rows that they were not fitted to."""
+    """Return the cross-validated sum of squares that orthonormal columns do not explain."""
     left = 0.0
     for fold in range(FOLDS):
         out = folds == fold
@@ -178,13 +182,13 @@ def _held_out(error: Column, columns: Columns, folds: Int[np.ndarray, "rows"]) -
 
 
 def _beyond(columns: Columns, basis: Columns) -> Columns:
-    """Columns less what a basis spans of them; 0 where that is all."""
+    """Subtract from columns their projection on a basis; 0 where the basis spans a column."""
     rest = columns - basis @ (basis.T @ columns)
     return np.where(_sizes(rest) > _SPANNED * _sizes(columns), rest, 0.0)
 
 
 def _orthogonal(columns: Columns) -> Columns:
-    """An orthonormal basis of what columns span."""
+    """Return an orthonormal basis of the space that columns span."""
     if not columns.shape[1] or not np.any(columns):
         return np.zeros((len(columns), 0))
     basis, sizes, _ = np.linalg.svd(columns / _sizes(columns), full_matrices=False)

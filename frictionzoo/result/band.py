@@ -1,4 +1,4 @@
-"""Where measured motion will be: rollouts of drives that data allow, with what the fitted one left of others."""
+"""Prediction intervals of the measured position, from rollouts of drawn drives and errors in training rollouts."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -13,11 +13,11 @@ from frictionzoo.result.curves import Curves
 
 
 class Band(NamedTuple):
-    """A band of positions, from the first sample after the start of each rollout on.
+    """Prediction interval of the position, from the first sample after the start of each rollout.
 
     Attributes:
-        low: Its lower end [rad or m].
-        high: Its upper end.
+        low: Lower end [rad or m].
+        high: Upper end [rad or m].
     """
 
     low: Float[np.ndarray, "batch time nv"]
@@ -30,28 +30,27 @@ def predict_band(
     draws: Mapping[str, Float[np.ndarray, "count nv"]],
     curves: Curves,
 ) -> Band:
-    """The band that holds each measured position with 95 %.
+    """Predict the 95 % interval of each measured position.
 
-    q = q(theta) - e: a rollout q(theta) of a drive that is drawn from the joint distribution of its parameters, less
-    the error e, at the same time after the start, of a training rollout of the fitted drive. The band's ends are the
-    2.5 and 97.5 % quantiles over all pairs of a drawn drive and a training rollout. So it holds what parameters may be
-    and what the law lacks, and what the noise of a measured initial state does. Of few training rollouts, n, errors are
-    taken times t sqrt(1 + 1 / n) / z, as a prediction interval is wider with Student's quantile than with the normal's.
+    q = q(theta) - e: q(theta) is a rollout of a drive drawn from the joint distribution of its parameters. e is the
+    fitted drive's error in a training rollout at the same time after the start. The ends are the 2.5 and 97.5 %
+    quantiles over all pairs of a drawn drive and a training rollout. The interval thus contains parameter uncertainty,
+    model error, and noise of the measured initial state. With n training rollouts, errors are multiplied by
+    t sqrt(1 + 1 / n) / z, the ratio of Student's to the normal prediction interval.
 
-    It holds what is measured where that differs from the drive as training recordings did: a motion of another kind, or
-    another load, need not be within.
+    The interval holds for motion like that of the training recordings, not for other kinds of motion or other loads.
 
     Source: R. Stine, "Bootstrap prediction intervals for regression", 1985, with errors of whole rollouts, which are
-    correlated in time, as S. Lahiri, "Resampling Methods for Dependent Data", 2003, takes blocks.
+    correlated in time, like the blocks of S. Lahiri, "Resampling Methods for Dependent Data", 2003.
 
     Args:
-        place: Where the drive lies, for messages.
-        simulate: Positions in the rollouts with these values in place of fitted ones.
-        draws: Of parameters, by full name; empty where there are none to draw from.
-        curves: With `train_errors`.
+        place: Name of the drive for messages.
+        simulate: Function that returns the positions in the rollouts, with some fitted values replaced.
+        draws: Drawn parameters by full name; empty: use the fitted values only.
+        curves: Curves with `train_errors`.
 
     Raises:
-        RunError: There are errors of less than two training rollouts.
+        RunError: Fewer than two training rollouts have errors.
     """
     if len(curves.train_errors) < 2:
         raise RunError(
@@ -73,6 +72,6 @@ def predict_band(
 
 
 def _widening(count: int) -> float:
-    """Of a prediction interval by a standard deviation of so many numbers, over one whose deviation is known."""
+    """Return the ratio of prediction interval widths: standard deviation estimated from `count` numbers, or known."""
     upper = (1 + LEVEL) / 2
     return float(scipy.special.stdtrit(count - 1, upper) / scipy.special.ndtri(upper) * np.sqrt(1 + 1 / count))

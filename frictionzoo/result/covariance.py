@@ -1,4 +1,4 @@
-"""How sure parameters are together, as `result.json` has it."""
+"""Covariance of the parameters for `result.json`."""
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.fit.covariance import Covariance
@@ -7,7 +7,7 @@ from frictionzoo.result.types import CovarianceRow
 
 
 def describe_covariance(covariance: Covariance | None, bench: Bench, model: FrictionModel) -> CovarianceRow | None:
-    """The section `covariance`; None where no parameter has an interval."""
+    """Return the section `covariance`; None if no parameter has an interval."""
     if covariance is None:
         return None
     params = {"bench": bench.params, "friction": model.params}

@@ -1,4 +1,4 @@
-"""`curves.safetensors`: the arrays that figures of a run, and of comparisons of runs, are drawn from."""
+"""`curves.safetensors`: arrays for the figures of a run and of comparisons of runs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -18,48 +18,48 @@ from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.result.portrait import Portrait
 
 FILE = "curves.safetensors"
-POINTS = 81  # velocities at which a law is drawn; odd, so that 0 is one of them
-SAMPLES = 20_000  # of the recorded states that are looked at, evenly spread
-NEIGHBOURS = 200  # recorded states, those of the closest velocity, that stand for all states at a velocity
-SPREAD = (0.1, 0.9)  # quantiles of a law's torque over these states
+POINTS = 81  # velocities of a friction curve; odd, to include 0
+SAMPLES = 20_000  # most recorded states used, evenly spread
+NEIGHBOURS = 200  # recorded states of the closest velocity that represent a velocity
+SPREAD = (0.1, 0.9)  # quantiles of the model's torque over these states
 OWN = "history", "signals", "train_errors", "portraits", "left_time", "left", "recording", "begins"
-"""Of which runs on the same data may have more or less: the course of the fit, what reaches back as far as the bench's
-delay, training rollouts that stayed finite, what the law sees, the bandwidth in which torque was compared, and what
-older runs do not say."""
+"""Fields whose size may differ between runs on the same data. It depends on the iterations of the fit, the bench's
+delay, the finite training rollouts, the quantities that the model sees, the bandwidth of the torque comparison, and
+the version of the run."""
 LATER = "recording", "begins"
-"""What a run of an earlier version does not have."""
+"""Fields that runs of earlier versions lack."""
 _HISTORY, _PORTRAITS = "history.", "portraits."
 
 
 @dataclass(frozen=True)
 class Curves:
-    """What a run leaves for figures, in `float64`.
+    """Arrays for the figures of a run, in `float64`.
 
     Attributes:
         measured_qpos: Position in the long test rollouts [rad or m].
-        measured_qvel: Velocity in them [rad/s or m/s].
-        signals: What drives them, as `Segments` has it.
-        load: What their payloads change in the bench's model.
-        qpos: The same, simulated.
-        qvel: The same, simulated.
-        baseline_qpos: The same, simulated without friction.
-        baseline_qvel: The same, simulated without friction.
-        train_mae: Position MAE of each training rollout of the main horizon [rad or m]; NaN where it diverged.
-        test_mae: That of each test rollout.
-        local_mae: That of each short rollout over the test part.
+        measured_qvel: Velocity in the long test rollouts [rad/s or m/s].
+        signals: Signals that drive these rollouts, as in `Segments`.
+        load: Changes of the bench's model by their payloads.
+        qpos: Simulated position in these rollouts [rad or m].
+        qvel: Simulated velocity [rad/s or m/s].
+        baseline_qpos: Position simulated without friction [rad or m].
+        baseline_qvel: Velocity simulated without friction [rad/s or m/s].
+        train_mae: Position MAE of each training rollout of the main horizon [rad or m]; NaN: diverged.
+        test_mae: Position MAE of each test rollout of the main horizon.
+        local_mae: Position MAE of each short rollout over the test part.
         local_speed: Mean absolute measured velocity in each short rollout [rad/s or m/s].
-        local_load: Mean absolute torque of the motor in each, with the bench's initial values [N m or N].
-        velocity: Velocities at which the law is drawn [rad/s or m/s].
-        friction: The law's torque there, the median over states that were recorded at about that velocity [N m or N].
-        friction_low: Its 10 % quantile over these states.
-        friction_high: Its 90 % quantile.
-        history: One row an iteration of the fit: `iteration`, `loss`, `grad_norm`, `bench.NAME`, `friction.NAME`.
-        train_errors: Position less the measured one in training rollouts of the main horizon, as `Judgement` has it.
-        portraits: The law beside what recordings imply, by what it is drawn over, as `portray` has it.
-        left_time: Time in the training recordings that were looked at, one after the other [s].
-        left: What is left of the torque in motion, NaN at rest [N m or N].
-        recording: Of each long test rollout, the number of its recording among those of the test part.
-        begins: Time in that recording at its first state [s].
+        local_load: Mean absolute motor torque in each short rollout, with the bench's initial values [N m or N].
+        velocity: Velocities of the friction curve [rad/s or m/s].
+        friction: Friction torque of the model, median over states recorded at about that velocity [N m or N].
+        friction_low: 10 % quantile over these states.
+        friction_high: 90 % quantile over these states.
+        history: One row per iteration of the fit: `iteration`, `loss`, `grad_norm`, `bench.NAME`, `friction.NAME`.
+        train_errors: Position errors in training rollouts of the main horizon, as in `Judgement`.
+        portraits: Friction curves of model and recordings, by the quantity on the axis, as returned by `portray`.
+        left_time: Time in the analysed training recordings, one after the other [s].
+        left: Residual torque in motion [N m or N]; NaN at rest.
+        recording: Number of the recording of each long test rollout, within the test part.
+        begins: Time in that recording at the first state of the rollout [s].
     """
 
     measured_qpos: Float[np.ndarray, "rollouts states nv"]
@@ -97,7 +97,7 @@ def write_curves(folder: Path, curves: Curves) -> None:
 
     Args:
         folder: The run's folder.
-        curves: What to write.
+        curves: Arrays to write.
 
     Raises:
         OutputError: It cannot be written.
@@ -141,7 +141,7 @@ def read_curves(folder: Path) -> Curves:
 
 
 def _check_shapes(curves: Curves) -> None:
-    """ValueError for an array whose shape is not the one that its annotation has, with sizes that arrays share."""
+    """Raise ValueError if an array does not match the shape in its annotation; named sizes are shared by all arrays."""
     sizes: dict[str, int] = {}
     _check_record(curves, get_type_hints(Curves), sizes)
     for over, portrait in curves.portraits.items():
@@ -176,21 +176,21 @@ def sample_friction(
     Float[np.ndarray, "points nv"],
     Float[np.ndarray, "points nv"],
 ]:
-    """A law's torque over velocity: median, low and high quantile over the states recorded at about each velocity.
+    """Compute friction curves of a model: median, low and high quantile over states recorded near each velocity.
 
-    A law of the velocity alone has no spread. MuJoCo's dry friction is drawn at its limit, which it has while sliding.
+    A model that depends on the velocity alone has no spread. Dry friction of MuJoCo has its sliding value.
 
     Args:
-        model: The law with its identified values.
+        model: The model with its identified values.
         samples: Recorded states, of shape (samples, nv).
 
     Returns:
-        Velocities, evenly spaced over the recorded speeds in both directions, and the three curves.
+        Velocities in both directions up to the highest recorded speed, dense around 0, and the three curves.
     """
     thinned = samples.map(lambda signal: signal[:: max(1, len(signal) // SAMPLES)])
     fastest = float(np.abs(thinned.qvel).max()) or 1.0
     share = np.linspace(-1, 1, POINTS)
-    velocity = fastest * np.sign(share) * share**2  # dense around standstill, where laws differ most
+    velocity = fastest * np.sign(share) * share**2  # dense around standstill, where models differ most
     curves = np.stack([_torque_near(model, thinned, at) for at in velocity])
     return velocity, curves[:, 0], curves[:, 1], curves[:, 2]
 

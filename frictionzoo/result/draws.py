@@ -1,4 +1,4 @@
-"""Drives that are drawn from what is known of an identified one."""
+"""Draws of drives from the distribution of identified parameters."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,13 +20,13 @@ from frictionzoo.simulate.context import computing
 
 
 class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
-    """Draws of each parameter by full name, in its unit, and whether the chains agree that they come from.
+    """Draws of each parameter by full name, in its unit, with convergence diagnostics of the chains.
 
     Attributes:
-        rhat: Of each number that was sampled, `bench.armature`, or `bench.armature/knee` of several joints, the
-            rank-normalised split R-hat: 1 where the chains agree.
-        effective: By the same names, the effective sample size of all that was drawn.
-        divergences: At how many of all draws the sampler's steps went astray.
+        rhat: Rank-normalised split R-hat of each sampled value, by its label, `bench.armature`, or
+            `bench.armature/knee` with several joints; 1: the chains agree.
+        effective: Effective sample size of all samples, by the same labels.
+        divergences: Number of samples whose sampler step diverged.
     """
 
     def __init__(self, draws: Mapping[str, Float[np.ndarray, "count nv"]], chains: Chains) -> None:
@@ -39,15 +39,15 @@ class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
 def draw_parameters(
     place: str, result: Result, bench: Bench, model: FrictionModel, count: int, seed: int
 ) -> dict[str, Float[np.ndarray, "count nv"]]:
-    """Values of the parameters that data determine, by full name, drawn together and brought into the bounds.
+    """Draw joint values, within the bounds, of the parameters that the data determine, by full name.
 
     Args:
-        place: Where the result lies, for messages.
-        result: Of the run.
+        place: Name of the drive for messages.
+        result: Result of the run.
         bench: Its test stand.
-        model: Its law.
-        count: Drives to draw.
-        seed: Of the draws.
+        model: Its friction model.
+        count: Number of drives.
+        seed: Random seed.
 
     Raises:
         ConfigError: `count` is below 1.
@@ -64,20 +64,20 @@ def draw_parameters(
 def draw_with_chains(
     place: str, result: Result, bench: Bench, fitted: Fitted | None, count: int, seed: int
 ) -> Posterior:
-    """The same of all parameters that have an interval, from the posterior.
+    """Draw values of all parameters with an interval from the posterior.
 
     Args:
-        place: Where the result lies, for messages.
-        result: Of the run.
+        place: Name of the drive for messages.
+        result: Result of the run.
         bench: Its test stand.
-        fitted: What was minimised; None where it is not there any more.
-        count: Drives to draw.
-        seed: Of the draws.
+        fitted: Minimised loss with the training data; None: not available.
+        count: Number of drives.
+        seed: Random seed.
 
     Raises:
-        ConfigError: `count` is below 1, or as `draw_posterior`.
-        FitError: As `draw_posterior`.
-        RunError: No parameter has an interval, or it is not there what was minimised.
+        ConfigError: `count` is below 1, or `draw_posterior` raises it.
+        FitError: `draw_posterior` raises it.
+        RunError: No parameter has an interval, or the loss is not available.
     """
     covariance = _read_covariance(place, result, count)
     if fitted is None:
@@ -96,7 +96,7 @@ def draw_with_chains(
 
 
 def _read_covariance(place: str, result: Result, count: int) -> Covariance:
-    """What is drawn from, of so many draws."""
+    """Return the covariance; raise if `count` is below 1 or no parameter has an interval."""
     if count < 1:
         raise ConfigError(f"count={count}: expected 1 or more drives to draw")
     if (row := result["covariance"]) is None:
@@ -108,18 +108,18 @@ def _read_covariance(place: str, result: Result, count: int) -> Covariance:
 def _draw(
     covariance: Covariance, bench: Bench, model: FrictionModel, count: int, seed: int
 ) -> dict[str, Float[np.ndarray, "count nv"]]:
-    """Of all identified parameters; what has no interval is anywhere."""
+    """Draw all identified parameters; those without an interval get their initial values."""
     with jax.enable_x64(True):
         space = Space(bench, model, "float64")
     vectors = np.repeat(np.asarray(space.start, np.float64)[:, None], count, axis=1)
     own = [space.labels.index(label) for label in covariance.labels]
     vectors[own] = covariance.draw(count, np.random.default_rng(seed)).T
-    with np.errstate(over="ignore"):  # after a fit that diverged; it is brought into the bounds
+    with np.errstate(over="ignore"):  # after a diverged fit; the values are clipped to the bounds
         return {name: values.T for name, values in space.physical(vectors).items()}
 
 
 def _determined(parameter: Parameter, bench: Bench) -> Bool[np.ndarray, "nv"]:
-    """In which joints data determine it."""
+    """Return the joints in which the data determine a parameter."""
     found = [joint for row in parameter.by_joint if row["identifiable"] for joint in row["joints"]]
     return np.isin(bench.joints, found)
 
@@ -130,16 +130,17 @@ def put_values(
     params: Mapping[str, Mapping[str, Param]],
     nv: int,
 ) -> dict[str, dict[str, Any]]:
-    """Put these values in place of some of a drive's, by full name.
+    """Replace some of a drive's values, by full name.
 
     Args:
-        values: The drive's, by owner and name.
-        drawn: Of each joint, or one for all; of a joint that lacks the parameter, anything.
+        values: Values of the drive, by owner and name.
+        drawn: New values, one per joint or one for all; ignored for joints that lack the parameter.
         params: Physical parameters, by owner and name.
         nv: Number of joints.
 
     Raises:
-        ConfigError: No such parameter, another shape, or a value that is not finite or has a sign that it cannot have.
+        ConfigError: A parameter is unknown; or a value has the wrong shape, is not finite, or is negative where the
+            lower bound is not.
     """
     known = {f"{owner}.{name}": param for owner, named in params.items() for name, param in named.items()}
     found = {owner: dict(named) for owner, named in values.items()}
@@ -152,7 +153,7 @@ def put_values(
 
 
 def _of_joints(full: str, own: Any, param: Param, nv: int) -> Float[np.ndarray, "members"]:
-    """A parameter's values of the joints that have it."""
+    """Return the checked values of the joints that have the parameter."""
     array = np.asarray(own)
     if array.dtype.kind not in "iuf" or array.shape not in ((), (nv,)):
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Open-loop rollouts against the recording: how far a simulated drive drifts from the measured one."""
+"""Evaluation: errors of open-loop rollouts against the recordings."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -15,8 +15,8 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments, cut_rollouts
 from frictionzoo.result.torque import AS_THE_FIT
 
-_SMALL = 50  # rollouts of a set that is simulated together with others
-KEPT = 100  # rollouts whose errors are kept sample by sample, spread evenly
+_SMALL = 50  # most rollouts of a set that is simulated together with other sets
+KEPT = 100  # most rollouts whose errors are kept for each sample, evenly spread
 Values = Mapping[str, Mapping[str, np.ndarray]]
 Rollout = Callable[..., tuple]
 """`rollout(values, qpos, qvel, ctrl, load)`: predicted qpos and qvel, each (batch, time, nv)."""
@@ -26,19 +26,19 @@ Rollout = Callable[..., tuple]
 class Metrics:
     """Errors of open-loop rollouts that start at measured states.
 
-    Diverged rollouts are counted and left out of the errors, which are NaN where all diverged.
+    Diverged rollouts are counted but excluded from the errors, which are NaN if all diverged.
 
     Attributes:
-        position_mae: Mean over rollouts of each one's absolute position error, averaged over time and joints [unit].
-        position_mae_std: Population standard deviation of that error over the rollouts, the paper's sigma_MAE [unit]; 0
+        position_mae: Mean over the rollouts of their position MAE, averaged over time and joints [unit].
+        position_mae_std: Population standard deviation of the rollouts' position MAE, the paper's sigma_MAE [unit]; 0
             for a single rollout.
         position_rmse: Root mean square position error over all samples [unit].
         velocity_rmse: Root mean square velocity error over all samples [velocity_unit].
         unit: `rad` or `m`.
         velocity_unit: `rad/s` or `m/s`.
         horizon: Length of a rollout [s].
-        rollouts: How many were simulated.
-        diverged: How many of them left the finite numbers.
+        rollouts: Number of simulated rollouts.
+        diverged: Number of rollouts that diverged.
     """
 
     position_mae: float
@@ -54,10 +54,10 @@ class Metrics:
 
 @dataclass(frozen=True)
 class JointErrors:
-    """Errors of one joint in open-loop rollouts, diverged ones left out; NaN where all diverged.
+    """Errors of one joint in open-loop rollouts without the diverged ones; NaN if all diverged.
 
     Attributes:
-        position_mae: Mean absolute position error [rad or m]; its mean over the joints is that of `Metrics`.
+        position_mae: Mean absolute position error [rad or m]; `Metrics` has its mean over the joints.
         position_rmse: Root mean square position error [rad or m].
         velocity_rmse: Root mean square velocity error [rad/s or m/s].
     """
@@ -69,7 +69,7 @@ class JointErrors:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Simulated states of some segments, after each step.
+    """Simulated states of segments, after each step.
 
     Attributes:
         qpos: Position [rad or m].
@@ -81,12 +81,12 @@ class Prediction:
 
     @property
     def first(self) -> "Prediction":
-        """The first of them alone."""
+        """Prediction of the first segment."""
         return Prediction(self.qpos[:1], self.qvel[:1])
 
     @property
     def diverged(self) -> Bool[np.ndarray, "batch"]:
-        """Which rollouts hold a sample that is not finite."""
+        """Rollouts with a sample that is not finite."""
         finite = np.isfinite(self.qpos) & np.isfinite(self.qvel)
         return np.logical_not(finite.all(axis=(1, 2)))
 
@@ -98,7 +98,7 @@ def predict(rollout: Rollout, values: Values, segments: Segments) -> Prediction:
 
 
 def predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> list[Prediction]:
-    """The same of several sets of segments: small sets in one batch, since each shape is compiled anew."""
+    """Simulate several sets of segments; small sets form one batch, because each shape is compiled separately."""
     small = [each for each in cut if each.count <= _SMALL]
     if not small:
         return [predict(rollout, values, each) for each in cut]
@@ -120,7 +120,7 @@ def predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> li
 
 
 def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metrics:
-    """Errors of simulated against measured states, on a joint of this type, `hinge` or `slide`."""
+    """Compute the errors of simulated against measured states; `joint_type` is `hinge` or `slide`."""
     kept = ~prediction.diverged
     mae = rollout_mae(prediction, segments)[kept]
     return Metrics(
@@ -137,7 +137,7 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
 
 
 def measure_joints(prediction: Prediction, segments: Segments) -> tuple[JointErrors, ...]:
-    """Errors of simulated against measured states of each joint."""
+    """Compute the errors of simulated against measured states of each joint."""
     kept = ~prediction.diverged
     position = prediction.qpos[kept] - segments.qpos[kept, 1:]
     velocity = prediction.qvel[kept] - segments.qvel[kept, 1:]
@@ -148,7 +148,7 @@ def measure_joints(prediction: Prediction, segments: Segments) -> tuple[JointErr
 
 
 def rollout_mae(prediction: Prediction, segments: Segments) -> Float[np.ndarray, "batch"]:
-    """Absolute position error of each rollout, averaged over time and joints [rad or m]; NaN where it diverged."""
+    """Return the position MAE of each rollout over time and joints [rad or m]; NaN: diverged."""
     error = np.abs(prediction.qpos - segments.qpos[:, 1:])
     return np.where(prediction.diverged, np.nan, error.mean(axis=(1, 2)))
 
@@ -164,18 +164,18 @@ def _rms(error: Float[np.ndarray, "..."]) -> float:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What one drive's rollouts say about it.
+    """Errors of one drive in all rollouts of the evaluation.
 
     Attributes:
-        by_horizon: Metrics of each horizon, the main one first, for the parts `train` and `test`.
+        by_horizon: Metrics of each horizon, main horizon first, for the parts `train` and `test`.
         by_joint: Errors of each joint at the main horizon, for the parts `train` and `test`.
         rollout_mae: Position MAE of each rollout of the main horizon, for the parts `train` and `test` [rad or m].
-        trajectory: The paper's evaluation (a): one long test rollout.
-        places: The paper's evaluation (b): test rollouts at random places.
-        prediction: The simulated states of the long test rollouts, that of (a) first.
-        local_mae: Position MAE of each of the short rollouts over the whole test part [rad or m].
-        train_errors: Position less the measured one in training rollouts of the main horizon that did not diverge, at
-            most `KEPT` of them [rad or m].
+        trajectory: Metrics of the paper's evaluation (a): one long test rollout.
+        places: Metrics of the paper's evaluation (b): test rollouts from random starts.
+        prediction: Simulated states of the long test rollouts, evaluation (a) first.
+        local_mae: Position MAE of each short rollout over the whole test part [rad or m].
+        train_errors: Simulated minus measured position in training rollouts of the main horizon that did not diverge,
+            at most `KEPT` rollouts [rad or m].
     """
 
     by_horizon: tuple[Mapping[str, Metrics], ...]
@@ -199,33 +199,34 @@ class Judgement:
 
 
 class Evaluation:
-    """The rollouts on which drives are compared; all drives meet the same ones.
+    """Rollouts for the comparison of drives, the same for all drives.
 
-    The windows are cut at once, so that logs too short for them are refused before a fit and not after it.
+    The windows are cut at construction, which refuses too short logs before a fit.
 
     Attributes:
-        trajectories: Long windows of the test part; the first is that of the paper's evaluation (a).
-        local: Short windows one after the other over the whole test part.
+        joint_type: `hinge` or `slide`.
+        trajectories: Long windows of the test part; the first is the paper's evaluation (a).
+        local: Consecutive short windows over the whole test part.
         window: Length of the moving mean over the error of (a) [s].
-        torque: How recorded torque is compared, as the argument says.
+        torque: Comparison of recorded torque, as the argument.
 
     Args:
         dataset: Recordings, train and test.
         joint_type: `hinge` or `slide`.
-        horizons: Lengths of the rollouts [s], the main one first.
-        rollouts: Largest number of rollouts at a horizon in a part; None takes all, with `consecutive` only.
-        placement: Where they start, `random` or `consecutive`, as in `cut_rollouts`.
-        trajectory: Length of the long rollouts [s], of which (a) is the first.
-        window: Length of the moving mean over its error [s].
-        places: How many rollouts at random places (b) has, of the main horizon, and how many long rollouts there are.
+        horizons: Lengths of the rollouts [s], main horizon first.
+        rollouts: Largest number of rollouts of a horizon in a part; None: all, with `consecutive` only.
+        placement: Placement of their starts, `random` or `consecutive`, as in `cut_rollouts`.
+        trajectory: Length of the long rollouts [s]; the first is (a).
+        window: Length of the moving mean over the error of (a) [s].
+        places: Number of long rollouts, and of rollouts of the main horizon from random starts (b).
         local: Length of the short rollouts [s].
-        seed: Of the random places.
-        torque: How recorded torque is compared, `bandwidth` [Hz] and `held`, as `frictionzoo.result.torque` has it;
-            None for each as the fit does it.
+        seed: Seed of the random starts.
+        torque: Comparison of recorded torque, `bandwidth` [Hz] and `held`, as in `frictionzoo.result.torque`; None
+            for either: as in the fit.
         history: Samples of the command before each rollout that may still act in it.
 
     Raises:
-        ConfigError: An option is impossible.
+        ConfigError: An option has an invalid value.
         LogError: A log is shorter than a rollout.
     """
 
@@ -266,19 +267,19 @@ class Evaluation:
 
     @property
     def sha256(self) -> str:
-        """Hash of all measured windows and payloads: drives with the same one were judged on the same rollouts."""
+        """Hash of states, commands, inputs and payloads of all windows; equal for drives with the same rollouts."""
         cut = [segments for parts in self._by_horizon for segments in parts.values()]
         digest = hashlib.sha256()
         for segments in (*cut, self.trajectories, self._places, self.local):
             loads = (segments.loads,) if segments.loads.size else ()
-            acting = segments.acting  # what only the friction law looks at is left out: it differs from law to law
+            acting = segments.acting  # signals that only friction models read are excluded: they differ between models
             driven = np.concatenate([acting.ctrl, *acting.inputs.values()], axis=2)
             for signal in (segments.qpos, segments.qvel, driven, *loads):
                 digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
         return digest.hexdigest()
 
     def judge(self, rollout: Rollout, values: Values) -> Judgement:
-        """Simulate every window with one drive, a rollout of these values, and measure its errors."""
+        """Simulate every window with one drive and measure its errors."""
         cut = [segments for parts in self._by_horizon for segments in parts.values()]
         long, places, local, *others = predict_all(rollout, values, [self.trajectories, self._places, self.local, *cut])
         pairs, unit = zip(others, cut, strict=True), self.joint_type
@@ -298,6 +299,6 @@ class Evaluation:
 def moving_mean_and_std(
     samples: Float[np.ndarray, "time"], width: int
 ) -> tuple[Float[np.ndarray, "windows"], Float[np.ndarray, "windows"]]:
-    """Mean and standard deviation over each full window, of `width` samples, of a signal."""
+    """Return mean and standard deviation of a signal over each full window of `width` samples."""
     windows = np.lib.stride_tricks.sliding_window_view(samples, width)
     return windows.mean(axis=1), windows.std(axis=1)

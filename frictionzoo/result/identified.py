@@ -1,4 +1,4 @@
-"""An identified drive, from a fit that has just ended or a run read back: to inspect, simulate and export."""
+"""Identified drive, returned by a fit or read from a run's folder: inspection, simulation, export."""
 
 import copy
 import time
@@ -44,22 +44,22 @@ from frictionzoo.simulate.rollout import applied, make_observer
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identified:
-    """The identified drive of one run, and the recordings that it was evaluated on.
+    """Identified drive of one run, with the recordings of its evaluation.
 
     Attributes:
-        folder: The run's folder; None for a drive that is in memory only.
-        result: Content of its `result.json`.
-        bench: The test stand.
-        model: The friction law with its identified values, in float64.
-        state: These values as they are saved, in the law's own types.
-        values: Values of all parameters and of a network's weights, by owner (`bench`, `friction`) and name, as numpy
-            arrays in float64: of shape (nv,) for the bench, as in its `state_dict` for the law.
-        segments: The long test rollouts: measured states and the signals that drove them; none for a drive of a card.
-        sampling: From their samples to steps of the simulation.
-        curves: Data of the figures; empty for a drive of a card.
-        complaint: One line where the fit diverged; None otherwise.
-        fitted: The minimised loss, with the training data; None for a drive that was read back.
-        origin: The drive that this one represents in a simulator, as `at` makes it; None for the drive itself.
+        folder: Folder of the run; None: in memory only.
+        result: Content of `result.json`.
+        bench: Test stand.
+        model: Friction model with its identified values, in float64.
+        state: These values as saved, in the model's dtypes.
+        values: Values of all parameters and network weights, by owner (`bench`, `friction`) and name, as numpy arrays
+            in float64. Shape: (nv,) for the bench, the `state_dict`'s for the friction model.
+        segments: Long test rollouts: measured states and driving signals; empty for a drive from a card.
+        sampling: Conversion of their samples to simulation steps.
+        curves: Data of the figures; empty for a drive from a card.
+        complaint: One line if the fit diverged; None otherwise.
+        fitted: Minimised loss with the training data; None for a drive read from a folder.
+        origin: Drive that this one represents in a simulator (see `at`); None: the drive itself.
     """
 
     folder: Path | None
@@ -80,7 +80,7 @@ class Identified:
         """Read a run's folder.
 
         Raises:
-            RunError: It is not the folder of a finished run of this version, or one of its files is damaged.
+            RunError: The folder holds no finished run of this version, or a file is damaged.
             BenchError: The bench's MJCF is missing or has changed.
         """
         result, curves = read_run(folder)
@@ -99,18 +99,17 @@ class Identified:
         return cls(folder, result, bench, model, state, values, segments, sampling, curves)
 
     def save(self, folder: str | Path) -> Result:
-        """Write figures, values, curves, MJCF and page, and `result.json` last: it marks a complete folder.
+        """Write figures, values, curves, MJCF and page. `result.json` comes last and marks a complete folder.
 
         Args:
-            folder: Folder to write; made if it is missing. An earlier run's files in it are replaced where nobody
-                changed them.
+            folder: Folder to write; created if missing. Unchanged files of an earlier run are replaced.
 
         Returns:
-            Content of `result.json`; its `written` says how far each model file moves from the drive.
+            Content of `result.json`; `written` gives the deviation of each model file from the drive.
 
         Raises:
             OutputError: A foreign file is in the way, or a file cannot be written.
-            RunError: It is a drive of a card.
+            RunError: The drive comes from a card.
         """
         self.recorded  # noqa: B018 - raises for a card
         began, folder = time.perf_counter(), Path(folder)
@@ -119,18 +118,18 @@ class Identified:
             return self._write(folder, began)
 
     def _write(self, folder: Path, began: float) -> Result:
-        # Imported here, so that reading a run does not wait for the plotting libraries.
+        # Imported here because the plotting libraries slow down reading a run.
         from frictionzoo.export.bench import write_identified
         from frictionzoo.show.replay import record_replay
         from frictionzoo.show.run_page import write_report
         from frictionzoo.show.run_plots import write_figures
 
         write_figures(folder / "figures", self.result, self.curves)
-        # One entry only: safetensors writes several in an order that changes from run to run.
+        # One entry only: the order of several entries in safetensors changes from run to run.
         header = {"frictionzoo": f"{self.model.name}, version {__version__}"}
         write_atomically(folder / LAW, safetensors.torch.save(dict(self.state), header))
         write_curves(folder, self.curves)
-        # The same files as those of `python -m frictionzoo.export RUN target=mjcf`.
+        # Same files as `python -m frictionzoo.export RUN target=mjcf`.
         models = write_identified(self)
         for model in models:
             write_atomically(folder / model.name, model.content)
@@ -144,24 +143,24 @@ class Identified:
 
     @property
     def place(self) -> str:
-        """Name of the drive for messages: its folder, or its law."""
+        """Name of the drive for messages: its folder or its friction model."""
         return str(self.folder) if self.folder else f"the drive with {self.result['model']}"
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """The bench's and the law's physical parameters by full name, `bench.armature`."""
+        """Physical parameters of bench and friction model by full name, `bench.armature`."""
         return read_parameters(self.result, self.bench.nv)
 
     def sample(self, count: int, seed: int = 0) -> dict[str, Float[np.ndarray, "count nv"]]:
-        """Draw drives that the training data allow, with the parameters' correlations.
+        """Draw drives consistent with the training data, with the correlations of the parameters.
 
-        The draws come from a multivariate Student's t distribution of the optimiser's coordinates, `covariance` in
-        `result.json`, and are brought into the bounds. Of many draws, 95 % of a parameter's values lie in its interval.
+        The draws come from a multivariate Student's t distribution of the optimiser's coordinates (`covariance` in
+        `result.json`) and are clipped to the bounds. Of many draws, 95 % of a parameter's values lie in its interval.
         Parameters that the data do not determine keep their values.
 
         Args:
-            count: Drives to draw.
-            seed: Of the draws.
+            count: Number of drives.
+            seed: Random seed.
 
         Returns:
             Values of each parameter that the data determine in any joint, by full name, in its unit.
@@ -173,45 +172,45 @@ class Identified:
         return draw_parameters(self.place, self.result, self.bench, self.model, count, seed)
 
     def posterior(self, count: int = 1000, seed: int = 0) -> Posterior:
-        """Draw drives that the training data allow, from the posterior distribution.
+        """Draw drives consistent with the training data from the posterior distribution.
 
-        `sample` is faster, and has the same distribution where the loss is a parabola over the intervals. Elsewhere
-        these draws follow the loss's own shape, within the bounds. They come from four chains of NUTS on the loss,
-        adjusted to the intervals' covariance: see `frictionzoo.fit.posterior`. All parameters with an interval are
-        drawn, also those that are not identifiable.
+        `sample` is faster and has the same distribution where the loss is quadratic over the intervals. Elsewhere these
+        draws follow the shape of the loss within the bounds. They come from four NUTS chains on the loss, adjusted to
+        the covariance of the intervals; see `frictionzoo.fit.posterior`. All parameters with an interval are drawn,
+        including those that are not identifiable.
 
-        It needs the training data, so a drive that `identify` returned, and blackjax, the extra `posterior`.
+        The method needs the training data, hence a drive returned by `identify`, and blackjax (extra `posterior`).
 
         Args:
-            count: Drives to draw.
-            seed: Of the draws.
+            count: Number of drives.
+            seed: Random seed.
 
         Returns:
-            Values by full name, in their unit, and whether the chains agreed.
+            Values by full name, in their unit, with convergence diagnostics of the chains.
 
         Raises:
             ConfigError: `count` is below 1, too many parameters were identified, or blackjax is not installed.
-            FitError: The fit has not converged, or the chains do not agree.
+            FitError: The fit has not converged, there are too few data, or the chains do not agree.
             RunError: No parameter has an interval, or the drive was read from a folder.
         """
         return draw_with_chains(self.place, self.result, self.bench, self.fitted, count, seed)
 
     def band(self, segments: Segments | None = None, count: int = 100, seed: int = 0) -> Band:
-        """Predict the interval of the measured position in rollouts, with 95 % at each instant.
+        """Predict the 95 % interval of the measured position in rollouts, at each instant.
 
-        It combines the spread of drives that the training data allow, `sample`, with the fitted drive's errors in
-        rollouts of the training recordings at the same time after their start: see `frictionzoo.result.band`.
+        It combines the spread of drives from `sample` with the fitted drive's errors in training rollouts at the same
+        time after the start; see `frictionzoo.result.band`.
 
         Args:
-            segments: Initial states and commands; None for the run's long test rollouts.
-            count: Drives to draw.
-            seed: Of the draws.
+            segments: Initial states and commands; None: the run's long test rollouts.
+            count: Number of drives to draw.
+            seed: Random seed.
 
         Returns:
-            The band for as long as a rollout of the evaluation's main horizon.
+            Prediction interval, at most as long as the evaluation's main horizon.
 
         Raises:
-            RunError: Fewer than two training rollouts of the evaluation have stayed finite.
+            RunError: Fewer than two training rollouts of the evaluation stayed finite.
         """
         segments = self.recorded if segments is None else segments
         draws = self.sample(count, seed) if self.result["covariance"] else {}
@@ -222,10 +221,11 @@ class Identified:
         return predict_band(self.place, simulate, draws, self.curves)
 
     def with_values(self, drawn: Mapping[str, Float[np.ndarray, "nv"] | float]) -> Values:
-        """Return the values of all parameters, with some replaced, by full name as `sample` gives them.
+        """Return the values of all parameters with some replaced, by full name as from `sample`.
 
         Raises:
-            ConfigError: There is no such parameter, or its value has another shape or is out of its bounds.
+            ConfigError: A parameter is unknown; or a value has the wrong shape, is not finite, or is negative although
+                the lower bound is not.
         """
         return put_values(
             self.values, drawn, {"bench": self.bench.params, "friction": self.model.params}, self.bench.nv
@@ -233,13 +233,13 @@ class Identified:
 
     @property
     def metrics(self) -> dict[str, Metrics]:
-        """Errors of open-loop rollouts by part: `train`, `test`, and `baseline`, the test part without friction."""
+        """Errors of open-loop rollouts by part: `train`, `test`, and `baseline` (test part without friction)."""
         rows, nan = cast(Mapping[str, Mapping[str, Any]], self.result["metrics"]), cast(Any, np.nan)
         return {part: Metrics(**{k: nan if v is None else v for k, v in row.items()}) for part, row in rows.items()}
 
     @property
     def by_joint(self) -> dict[str, dict[str, JointErrors]]:
-        """Errors of each joint by its name, on the same parts as `metrics`."""
+        """Errors of each joint by name, on the parts of `metrics`."""
         nan, found = cast(Any, np.nan), {}
         for row in cast(list[dict[str, Any]], self.result["by_joint"]):
             parts = {part: {k: nan if v is None else v for k, v in row[part].items()} for part in self.metrics}
@@ -247,12 +247,15 @@ class Identified:
         return found
 
     def plot(self) -> Figure:
-        """Measured and simulated motion of the first long test rollout, with and without friction.
+        """Plot measured and simulated motion of the first long test rollout, with and without friction.
 
         Returns:
-            A figure of matplotlib, which a notebook shows and `savefig` writes.
+            Matplotlib figure, which a notebook shows and `savefig` writes.
+
+        Raises:
+            RunError: The drive comes from a card.
         """
-        # Imported here, so that other uses do not wait for the plotting libraries.
+        # Imported here because the plotting libraries slow down other uses.
         from frictionzoo.show.run_plots import draw_rollout
 
         self.recorded  # noqa: B018 - raises for a card
@@ -262,43 +265,43 @@ class Identified:
         """Write the drive for another program, as `python -m frictionzoo.export` does.
 
         Args:
-            target: Name of a target, `mjcf` say; the documentation lists them.
-            path: A folder for all files of the target; or one file, chosen by its ending.
-            options: `timestep` [s] and `integrator` of the simulator, and the target's own.
+            target: Name of a target, such as `mjcf`; the documentation lists them.
+            path: Folder for all files of the target, or one file, selected by its suffix.
+            options: `timestep` [s] and `integrator` of the simulator, and options of the target.
 
         Returns:
-            The written files, their distance from this drive, and what they cannot represent.
+            Written files, their deviation from this drive, and what they cannot represent.
 
         Raises:
-            FrictionzooError: There is no such target or option, or the target cannot hold the drive.
+            FrictionzooError: The target or an option is unknown, or the target cannot represent the drive.
         """
         from frictionzoo.export.write import as_text, export_to
 
         return export_to(self, target, Path(path), {name: as_text(value) for name, value in options.items()})
 
     def __repr__(self) -> str:
-        """Parameters with intervals, test errors with and without friction, and warnings."""
+        """Return parameters with intervals, test errors with and without friction, and warnings."""
         from frictionzoo.show.terminal import summarise
 
         return summarise(self.result, self.folder)
 
     def _repr_html_(self) -> str:
-        """The same for a notebook."""
+        """Return the same as HTML for a notebook."""
         from frictionzoo.show.terminal import summarise_in_html
 
         return summarise_in_html(self.result, self.folder)
 
     @property
     def timestep(self) -> float:
-        """Step of the simulation [s]."""
+        """Simulation step [s]."""
         return self.bench.timestep
 
     @property
     def recorded(self) -> Segments:
-        """The long test rollouts.
+        """Long test rollouts.
 
         Raises:
-            RunError: It is a drive of a card, which has no recordings.
+            RunError: The drive comes from a card, which has no recordings.
         """
         if not self.segments.count:
             raise RunError(
@@ -313,20 +316,20 @@ class Identified:
         return f"{self.segments.count} rollouts of {self.segments.length * self.segments.timestep:g} s"
 
     def at(self, timestep: float | None = None, integrator: str | None = None) -> "Identified":
-        """Return the same drive in a simulator that takes MuJoCo's steps.
+        """Return the drive for a simulator with MuJoCo's steps.
 
-        A drive with parameters in continuous time (`bench.second_order`) gets the parameters with which this simulator
-        moves as the drive does; any other keeps its parameters. Where the recordings' interval is not a whole number of
-        steps, only every n-th sample is kept.
+        A drive with parameters in continuous time (`bench.second_order`) gets parameters that reproduce its motion in
+        this simulator. With `RK4`, and for any other drive, the parameters stay the same. If the recordings' interval
+        is not a whole number of steps, only every n-th sample is kept.
 
         Args:
-            timestep: Step of the simulation [s]. None is this drive's; for a drive in continuous time it is the model
-                file's, where a few samples of the recordings last a whole number of such steps.
-            integrator: `Euler`, `implicitfast`, or `RK4` for a drive in continuous time; None for the bench's.
+            timestep: Simulation step [s]. None: the step of this drive; for a drive in continuous time the step of the
+                model file, if a few samples of the recordings last a whole number of such steps.
+            integrator: `Euler`, `implicitfast`, or `RK4` for a drive in continuous time; None: integrator of the bench.
 
         Raises:
-            ConfigError: One sample of the recordings, or a few, do not last a whole number of such steps; there is no
-                such integrator; or `RK4` is asked for a drive whose parameters are for its steps.
+            ConfigError: No small number of samples lasts a whole number of such steps, the integrator is unknown, or
+                `RK4` is requested for a drive with parameters for its simulation step.
         """
         return put_into_simulator(self, timestep, integrator)
 
@@ -336,9 +339,9 @@ class Identified:
         """Simulate the drive in float64.
 
         Args:
-            segments: Initial states and commands; None for the run's long test rollouts.
-            timestep: Step of the simulation [s]; None for this drive's.
-            values: Values of another drive of this bench and law; None for this drive's.
+            segments: Initial states and commands; None: the run's long test rollouts.
+            timestep: Simulation step [s]; None: the step of this drive.
+            values: Values of another drive with this bench and friction model; None: values of this drive.
 
         Returns:
             qpos and qvel after each sample interval.
@@ -353,12 +356,14 @@ class Identified:
         return qpos, qvel
 
     def follow(self, segments: Segments, values: Values | None = None) -> Segments:
-        """Return the segments with simulated states in place of the measured ones, from the first states on.
+        """Return the segments with simulated states in place of measured ones after the first state.
 
-        `values` are those of another drive of this bench and law; None for this drive's.
+        Args:
+            segments: Initial states and commands.
+            values: Values of another drive with this bench and friction model; None: values of this drive.
 
         Raises:
-            RunError: The drive diverges in one of them.
+            RunError: The drive diverges in a segment.
         """
         itself = stands_in(self) and values is None and segments is self.segments
         moved = predict_origin(self) if itself else Prediction(*self.rollout(segments, values=values))
@@ -373,10 +378,10 @@ class Identified:
         return replace(segments, qpos=qpos, qvel=qvel)
 
     def acting(self, late: bool = True) -> Signals:
-        """Return the signals in each step of the long test rollouts, of shape (batch, time, substeps, nv).
+        """Return the signals at each step of the long test rollouts, of shape (batch, time, substeps, nv).
 
         Args:
-            late: Whether the bench's delay acts on the commands.
+            late: Whether to apply the bench's delay to the commands.
         """
         with jax.enable_x64(True):
             bench = self.jax_values["bench"] if late else {}
@@ -385,7 +390,7 @@ class Identified:
 
     @cached_property
     def samples(self) -> DriveState:
-        """Inputs of the friction law at the measured states of the rollouts, arrays of shape (samples, nv)."""
+        """Inputs of the friction model at the measured states of the rollouts, of shape (samples, nv)."""
         segments = self.recorded
         qpos, qvel = segments.qpos[:, :-1], segments.qvel[:, :-1]
         with jax.enable_x64(True):
@@ -395,10 +400,10 @@ class Identified:
 
     @cached_property
     def proof(self) -> Proof:
-        """Verification of this drive's simulation, with its fitted values, against MuJoCo C.
+        """Verification of the simulation, with the fitted values, against MuJoCo C.
 
         Raises:
-            BenchError: They differ; see `frictionzoo.simulate.proof.prove`.
+            BenchError: The two differ; see `frictionzoo.simulate.proof.prove`.
         """
         segments = self.recorded
         qpos, qvel, signals = jax.tree.map(
@@ -410,12 +415,12 @@ class Identified:
 
     @property
     def engine(self) -> Engine:
-        """One step of the simulation."""
+        """Engine that computes one simulation step."""
         return self._drive.engine
 
     @cached_property
     def jax_values(self) -> Mapping[str, Mapping[str, Any]]:
-        """The same values as JAX arrays in float64."""
+        """`values` as JAX arrays in float64."""
         with jax.enable_x64(True):
             return jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), self.values)
 

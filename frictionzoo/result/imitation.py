@@ -1,4 +1,4 @@
-"""Recordings as the identified drive would have given them, with nothing wrong but noise."""
+"""Imitations of recordings: rollouts of the identified drive, with encoder noise and no model error."""
 
 from dataclasses import replace
 
@@ -15,28 +15,29 @@ from frictionzoo.fit.recordings import Recordings
 from frictionzoo.logs.signals import find_noise, find_quantum
 from frictionzoo.simulate.drive import Drive
 
-MOST_STEPS = 1e6  # of the simulation, times joints
-STIFFEST = 5e-4  # s, time constant of the friction constraint
-STOCK = 2  # joints; with more, MJX itself is too slow
-ASTRAY = 0.5  # share of a joint's motion by which the simulated one may differ
+MOST_STEPS = 1e6  # most simulation steps times joints
+STIFFEST = 5e-4  # s, smallest time constant of the friction constraint
+STOCK = 2  # most joints for plain MJX; more are too slow
+ASTRAY = 0.5  # largest RMS error of the motion, as a share of its standard deviation
 
 
 def imitate(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], stiff: bool = False
 ) -> tuple[Log, ...] | None:
-    """Simulate an identified drive under recorded commands, and measure it as the recordings were.
+    """Simulate an identified drive under recorded commands, and measure it like the recordings.
 
-    Its positions get the noise and the steps of the encoders, as the recordings show them. The logs are cut to the
-    length of the shortest, and to as many as a simulation of moderate length has.
+    The positions get the encoders' noise and quantisation, estimated from the recordings. All logs are cut to the
+    length of the shortest one, and `MOST_STEPS` limits their number.
 
     Args:
-        recordings: Bench, law and logs.
+        recordings: Bench, friction model and logs.
         space: Coordinates of the values.
-        vector: The values.
-        stiff: Whether dry friction is as stiff as the simulation step allows, whatever the bench has.
+        vector: Values in these coordinates.
+        stiff: Whether dry friction is as stiff as the simulation step allows, instead of as in the bench.
 
     Returns:
-        None where the simulated motion is another one, as that of commands of torque alone soon is, or takes too long.
+        Imitated logs. None: the simulation fails or takes too long, or the motion differs too much from the recording,
+        as it soon does with pure torque commands.
     """
     bench, model, logs = recordings
     if stiff:
@@ -55,9 +56,9 @@ def imitate(
         qpos, qvel = (np.asarray(part, np.float64) for part in drive.rollout.compiled(values, *states))
     except FrictionzooError:
         return None
-    with np.errstate(over="ignore", invalid="ignore"):  # one that diverges
+    with np.errstate(over="ignore", invalid="ignore"):  # diverged rollouts
         apart = np.sqrt(np.mean(np.square(qpos - windows.qpos[:, 1:]), axis=(0, 1)))
-    if not (apart < ASTRAY * windows.qpos.std(axis=(0, 1))).all():  # of NaN, False
+    if not (apart < ASTRAY * windows.qpos.std(axis=(0, 1))).all():  # False with NaN
         return None
     random = np.random.default_rng(0)
     cut = [log.between(1, length + 1, log.name) for log in chosen]
@@ -65,7 +66,7 @@ def imitate(
 
 
 def _measure(log: Log, qpos: Float[np.ndarray, "time nv"], random: np.random.Generator) -> Float[np.ndarray, "time nv"]:
-    """Positions as a log's encoders read them."""
+    """Return positions with the noise and quantisation of a log's encoders."""
     steps = np.array([find_quantum(column) or 0.0 for column in log.qpos.T])
     noise = np.array([find_noise(column) for column in log.qpos.T])
     noisy = qpos + np.sqrt(np.maximum(noise**2 - steps**2 / 12, 0)) * random.normal(size=qpos.shape)
@@ -73,6 +74,6 @@ def _measure(log: Log, qpos: Float[np.ndarray, "time nv"], random: np.random.Gen
 
 
 def add_noise(log: Log) -> Log:
-    """Return a log with noise as large as its encoders' added to its positions."""
+    """Return a log with additional position noise as large as the noise of its encoders."""
     noise = np.array([find_noise(column) for column in log.qpos.T])
     return replace(log, qpos=log.qpos + noise * np.random.default_rng(0).normal(size=log.qpos.shape))

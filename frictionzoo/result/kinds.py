@@ -1,4 +1,4 @@
-"""Kinds of numbers, text and lists in a record, with their keywords of JSON schema."""
+"""Types of numbers, text and lists in a record, with their JSON schema keywords."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,4 @@
-"""Link inertias that were identified along, as a record tells them."""
+"""Estimated link inertias for `result.json`."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +10,7 @@ from frictionzoo.result import torque_types as types
 
 
 def describe_links(found: LinkInertia) -> types.LinksRow:
-    """The section `links`: each link beside its maker's, and what of it the data determine."""
+    """Return the section `links`: estimated and model file inertias, and what the data determine."""
     rows = zip(found.base.describe(), found.values, found.errors, found.determined, strict=True)
     return {
         "links": [

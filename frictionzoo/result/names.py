@@ -1,4 +1,4 @@
-"""How parameters and joints are named in sentences, labels and tables, and how values are read from a record."""
+"""Names of parameters and joints for sentences, labels and tables, and access to values of a record."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,46 +8,46 @@ from jaxtyping import Float
 
 from frictionzoo.result.types import ParameterRow, ReferenceRow, ValueRow
 
-NAMED = 4  # joints that a sentence names; the others are counted
+NAMED = 4  # most names in a sentence; the rest is counted
 
 
 def label_values(parameter: ParameterRow | ReferenceRow) -> dict[str, ValueRow]:
-    """The entries of a parameter by their labels: `bench.armature`, of several entries `bench.armature/knee`."""
+    """Return the entries of a parameter by label: `bench.armature`, or `bench.armature/knee` with several entries."""
     full, rows = f"{parameter['owner']}.{parameter['name']}", parameter["by_joint"]
     return {full if len(rows) == 1 else f"{full}/{row['name']}": row for row in rows}
 
 
 def name_where(parameter: ParameterRow | ReferenceRow, **what: Any) -> str:
-    """The full name of a parameter and, in brackets, the joints whose entries have these values, if not all have."""
+    """Return the full name of a parameter, with the joints whose entries have these values unless all or none have."""
     full, rows = f"{parameter['owner']}.{parameter['name']}", parameter["by_joint"]
     names = [row["name"] for row in rows if all(row[key] == value for key, value in what.items())]
     return full if len(names) in (0, len(rows)) else f"{full} ({name_some(names)})"
 
 
 def name_some(names: Sequence[str]) -> str:
-    """Names in a sentence, the first of many."""
+    """Join names for a sentence; only the first `NAMED` are spelled out."""
     return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
 
 
 def name_unidentifiable(parameters: Sequence[ParameterRow]) -> list[str]:
-    """Names of the parameters that the data do not determine, of several joints with these."""
+    """Return the parameters that are not identifiable, with their joints unless all are affected."""
     return [name_where(p, identifiable=False) for p in parameters if p["identifiable"] is False]
 
 
 def reached_bounds(parameter: ParameterRow | ReferenceRow) -> tuple[float, float]:
-    """The bounds of a parameter, of several joints the widest of those that ended at theirs."""
+    """Return the widest bounds over the joints that ended at a bound, or over all joints if none did."""
     rows = [row for row in parameter["by_joint"] if row["at_bound"]] or parameter["by_joint"]
     return min(row["low"] for row in rows), max(row["high"] for row in rows)
 
 
 def say_bounds(parameter: ParameterRow | ReferenceRow) -> str:
-    """The same in words."""
+    """Format these bounds."""
     low, high = reached_bounds(parameter)
     return f"[{low:g}, {high:g}]"
 
 
 def merge_known(rows: Sequence[ValueRow]) -> list[ValueRow]:
-    """Entries of a parameter for a table: joints whose values are known and the same are one."""
+    """Merge the entries of joints with the same known value, for a table."""
     merged: dict[Any, list[ValueRow]] = {}
     for row in rows:
         merged.setdefault(row["name"] if row["identified"] else row["value"], []).append(row)
@@ -62,23 +62,23 @@ def merge_known(rows: Sequence[ValueRow]) -> list[ValueRow]:
 
 
 def name_first(names: Sequence[str]) -> str:
-    """Names in a table, the first of many."""
+    """Join names for a table; of three or more only the first is spelled out."""
     return ", ".join(names) if len(names) < 3 else f"{names[0]} and {len(names) - 1} more"
 
 
 def read_values(parameter: ParameterRow | ReferenceRow) -> Float[np.ndarray, "nv"]:
-    """The values of all joints; NaN where a joint's law has no such parameter."""
+    """Return the values of all joints; NaN: the joint's model has no such parameter."""
     value: Any = parameter["value"]
     return np.atleast_1d(np.array(value, np.float64))
 
 
 def pick_value(parameter: ParameterRow, joint: str) -> ValueRow | None:
-    """The entry of a parameter that holds for a joint; None where the joint's law has no such parameter."""
+    """Return the entry of a parameter for a joint; None: the joint's model has no such parameter."""
     return next((row for row in parameter["by_joint"] if joint in row["joints"]), None)
 
 
 def place_between_bounds(row: ValueRow, values: Float[np.ndarray, "points"]) -> Float[np.ndarray, "points"]:
-    """Where values lie between the bounds of an entry, from 0 to 1; in decades where the bounds are positive."""
+    """Return the relative position of values between an entry's bounds, 0 to 1; logarithmic for positive bounds."""
     low, high = row["low"], row["high"]
     if low > 0:
         low, high, values = np.log(low), np.log(high), np.log(np.maximum(values, low))

@@ -1,4 +1,4 @@
-"""What an error of the torque may go with: functions of the motion, of the commands and of what links need."""
+"""Residual factors: functions of motion, commands and load that may explain the residual torque."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -8,19 +8,19 @@ from jaxtyping import Bool, Float, Int
 
 from frictionzoo.result.attribution import Candidate, pick
 
-SLOW = 0.1, 0.3  # of the root mean square speed, over which friction may fall
-SINCE = 0.05, 0.2  # s since a reversal, over which friction may build up
-PERIODS = 200  # harmonics of the position that are looked through
-THIN = 1000  # rows by which they are
-WITHIN = 0.8  # share of the bandwidth in which a ripple may lie
-LIMITS = 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998  # quantiles of the torque asked for at which a limit may lie
-WELL_BEYOND = 0.05  # share of the largest excess, from which on the commands ask for more than a limit
-UNLIKE = 0.5  # share of the error there that may be something else
-CROSSING = 0.05  # s before and after the motor's torque changes its sign, in which a gap may be crossed
+SLOW = 0.1, 0.3  # shares of the root mean square speed over which friction may fall
+SINCE = 0.05, 0.2  # s after a reversal over which friction may build up
+PERIODS = 200  # most ripple periods tried
+THIN = 1000  # rows used to choose the period
+WITHIN = 0.8  # largest ripple frequency as a share of the bandwidth
+LIMITS = 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998  # quantiles of commanded torque, tried as limits
+WELL_BEYOND = 0.05  # share of the largest excess from which a row counts as beyond the limit
+UNLIKE = 0.5  # largest share of the squared error in these rows that the excess may not explain
+CROSSING = 0.05  # s before and after a sign change of the motor torque in which a gap may be crossed
 PULL = "pull"
-"""What changes with the position alike in both directions: no friction."""
+"""Position-dependent torque alike in both directions, which is not friction."""
 OF_BENCH = ("constant", "scale", "limit", "late", PULL)
-"""What no friction law has."""
+"""Factors that no friction model has."""
 
 Signal = Float[np.ndarray, "time"]
 Rows = Float[np.ndarray, "rows"]
@@ -28,19 +28,19 @@ Filter = Callable[[Float[np.ndarray, "time _"]], Float[np.ndarray, "rows _"]]
 
 
 class Seen(NamedTuple):
-    """What a joint did, in each sample.
+    """Motion, torques and temperature of a joint in each sample.
 
     Attributes:
-        qpos: [rad or m].
-        qvel: [rad/s or m/s].
-        motor: Torque that the actuator has to give for the motion by the law, that is without the error: what it does
-            give answers to any error, and goes with it [N m or N].
+        qpos: Position [rad or m].
+        qvel: Velocity [rad/s or m/s].
+        motor: Actuator torque that the model needs for the motion, without the residual torque [N m or N]. The applied
+            torque reacts to any error and so correlates with it.
         external: Torque of everything but actuator and friction [N m or N].
-        since: Time since the motion last turned round [s].
-        asked: Torque that the commands ask for by the actuator law [N m or N].
+        since: Time since the last reversal of the motion [s].
+        asked: Torque commanded according to the actuator model [N m or N].
         begins: First sample of each log.
-        timestep: [s].
-        temperature: [degC]; None where it is not recorded.
+        timestep: Sample interval [s].
+        temperature: Temperature [degC]; None: not recorded.
     """
 
     qpos: Signal
@@ -55,12 +55,12 @@ class Seen(NamedTuple):
 
 
 def time_since_reversal(signal: Signal, begins: Int[np.ndarray, "logs"], timestep: float) -> Signal:
-    """Time since a velocity, say, last changed its sign, or since its log began [s].
+    """Return the time since a signal, such as a velocity, last changed its sign or its log began [s].
 
     Args:
-        signal: Of logs, one after the other.
-        begins: First sample of each.
-        timestep: [s].
+        signal: Signal of all logs, one after the other.
+        begins: First sample of each log.
+        timestep: Sample interval [s].
     """
     turned = np.flatnonzero(np.diff(np.sign(signal), prepend=0.0))
     last = np.zeros(len(signal), int)
@@ -69,7 +69,7 @@ def time_since_reversal(signal: Signal, begins: Int[np.ndarray, "logs"], timeste
 
 
 def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]:
-    """Functions by the name of what they change with, of `SEES`, or `PULL`; the simplest first."""
+    """Yield the functions of each residual factor with its name, the simplest first."""
     side, speed = np.sign(seen.qvel), np.abs(seen.qvel)
     share = speed / max(float(np.sqrt(np.mean(np.square(speed)))), 1e-300)
     plain = [side, side * share]
@@ -92,7 +92,7 @@ def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]
 
 
 def near_crossings(seen: Seen, at: Int[np.ndarray, "rows"]) -> Bool[np.ndarray, "rows"]:
-    """Return which rows, by their samples, are near a change of the motor's direction, when a gap is crossed."""
+    """Return which samples are near a sign change of the motor torque, where a gap may be crossed."""
     turned = np.flatnonzero(np.diff(np.sign(seen.motor)))
     if not len(turned):
         return np.zeros(len(at), bool)
@@ -102,16 +102,16 @@ def near_crossings(seen: Seen, at: Int[np.ndarray, "rows"]) -> Bool[np.ndarray, 
 
 
 def beyond_limit(seen: Seen, limit: float) -> Float[np.ndarray, "time 1"]:
-    """What the commands ask for beyond a limit of the torque [N m or N]."""
+    """Return the commanded torque beyond a limit [N m or N]."""
     return _stack(seen.asked - np.clip(seen.asked, -limit, limit))
 
 
 def is_limited(excess: Float[np.ndarray, "rows 1"], error: Rows) -> bool:
-    """Return whether the torque stays below a limit: where the commands ask for more, the error is that excess.
+    """Return whether a limit acts on the torque: where commands exceed it, the error is about the excess.
 
     Args:
-        excess: `beyond_limit` behind the filter of the error [N m or N].
-        error: In the same rows.
+        excess: `beyond_limit`, filtered like the error [N m or N].
+        error: Error in the same rows.
     """
     beyond = np.abs(excess[:, 0]) > WELL_BEYOND * np.abs(excess).max()
     rest = np.square(error - excess[:, 0])[beyond].sum()
@@ -119,22 +119,30 @@ def is_limited(excess: Float[np.ndarray, "rows 1"], error: Rows) -> bool:
 
 
 def find_limit(seen: Seen, decimate: Filter, rows: np.ndarray, error: Rows, known: np.ndarray) -> float:
-    """Limit of the torque that explains most of an error [N m or N], of those that a share of the torque exceeds.
+    """Return the torque limit that explains most of an error, from quantiles of commanded torque [N m or N].
 
-    Arguments as in `as_candidates`, and the error in these rows, and columns that it has to explain more than.
+    Args:
+        seen: Motion and torques of the joint.
+        decimate: Filter of the error.
+        rows: Index of the rows.
+        error: Error in these rows.
+        known: Columns beyond which the limit explains the error.
     """
     limits = np.quantile(np.abs(seen.asked), LIMITS)
     return float(limits[pick(error, known, [decimate(beyond_limit(seen, limit))[rows] for limit in limits])])
 
 
 def ripple(seen: Seen, periods: float, alike: bool) -> Float[np.ndarray, "time 4"]:
-    """Two harmonics of the position; against the motion, unless they are alike in both directions."""
+    """Return two harmonics of the position, against the motion unless `alike` in both directions."""
     phase, side = periods * seen.qpos, np.ones_like(seen.qpos) if alike else np.sign(seen.qvel)
     return _stack(*(side * wave(times * phase) for times in (1, 2) for wave in (np.sin, np.cos)))
 
 
 def list_periods(seen: Seen, hinge: bool, bandwidth: float) -> Float[np.ndarray, "periods"]:
-    """Periods in a rad or m of ripples that the motion shows within a bandwidth [Hz]: whole numbers of a turn."""
+    """Return the ripple periods that the motion covers within a bandwidth [Hz].
+
+    On a hinge, periods per turn, whole numbers; on a slide, 2 pi / period [1/m].
+    """
     reach, usual = float(np.ptp(seen.qpos)), float(np.median(np.abs(seen.qvel)))
     most = WITHIN * 2 * np.pi * bandwidth / max(usual, 1e-300)
     step = 1.0 if hinge else np.pi / max(reach, 1e-300)
@@ -145,29 +153,29 @@ def list_periods(seen: Seen, hinge: bool, bandwidth: float) -> Float[np.ndarray,
 def find_ripple(
     seen: Seen, periods: Float[np.ndarray, "periods"], alike: bool, error: Rows, known: np.ndarray, at: np.ndarray
 ) -> float:
-    """Periods of the ripple that explains most of an error.
+    """Return the periods of the ripple that explains most of an error.
 
     Args:
-        seen: What the joint did.
-        periods: To choose from.
+        seen: Motion of the joint.
+        periods: Values to choose from.
         alike: As in `ripple`.
-        error: In some samples.
-        known: Columns that the ripple has to explain more than.
+        error: Error in some samples.
+        known: Columns beyond which the ripple explains the error.
         at: Index of these samples.
     """
     thin = slice(None, None, max(1, len(at) // THIN))
     few = seen._replace(qpos=seen.qpos[at[thin]], qvel=seen.qvel[at[thin]])
-    first = [ripple(few, each, alike)[:, :2] for each in periods]  # with both harmonics, half as many do as well
+    first = [ripple(few, each, alike)[:, :2] for each in periods]  # with both harmonics, half the periods fit as well
     return float(periods[pick(error[thin], known[thin], first)])
 
 
 def as_candidates(seen: Seen, decimate: Filter, rows: np.ndarray) -> dict[str, Candidate]:
-    """The functions of `list_places` behind the filter of the error, in those of its rows that count.
+    """Return the functions of `list_places` as candidates, filtered like the error.
 
     Args:
-        seen: What the joint did.
-        decimate: The filter.
-        rows: Index of the rows.
+        seen: Motion and torques of the joint.
+        decimate: Filter of the error.
+        rows: Index of the rows that count.
     """
     found = {name: Candidate(decimate(columns)[rows]) for name, columns in list_places(seen)}
     return {name: one for name, one in found.items() if np.any(one.columns)}
@@ -178,7 +186,7 @@ def _stack(*columns: Signal) -> Float[np.ndarray, "time _"]:
 
 
 def _polynomials(qpos: Signal) -> Float[np.ndarray, "time 3"]:
-    """Legendre polynomials of the position over its range, of the first three orders."""
+    """Return Legendre polynomials of orders 1 to 3 of the position over its range."""
     reach = float(np.ptp(qpos))
     share = (2 * qpos - qpos.min() - qpos.max()) / max(reach, 1e-300)
     return np.polynomial.legendre.legvander(share, 3)[:, 1:]

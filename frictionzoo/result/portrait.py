@@ -1,4 +1,4 @@
-"""A law's friction beside the friction that recordings imply, over the velocity and whatever else the law sees."""
+"""Friction curves: friction of the model and of the recordings, over velocity and other inputs of the model."""
 
 import copy
 from collections.abc import Iterator, Mapping
@@ -13,32 +13,32 @@ from frictionzoo.fit.uncertainty import LEVEL
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.models.sees import observe
 
-SAMPLES = 20_000  # rows that are looked at, evenly spread
-POINTS = 61  # places at which a law is drawn; odd, so that standstill is one of them
-BINS = 24  # of the rows
-NEIGHBOURS = 100  # rows, the closest ones, that stand for all at a place
-FEWEST = 10  # rows of a bin; the median of fewer says little
-SPREAD = 0.1, 0.9  # quantiles between which most of a bin's rows lie
-DRAWS = 100  # drives of a band
+SAMPLES = 20_000  # most rows used, evenly spread
+POINTS = 61  # points of a curve; odd, to include standstill
+BINS = 24  # groups of rows
+NEIGHBOURS = 100  # closest rows that represent a point
+FEWEST = 10  # fewest rows of a bin or a joint
+SPREAD = 0.1, 0.9  # quantiles of a bin's rows
+DRAWS = 100  # most drives of an interval
 
 _OVER = {"velocity": "speed", "load": "load", "position": "position", "temperature": "temperature"}
-"""What friction is drawn over, and what a law has to see for it."""
+"""Quantities on the axis of a curve, with the dependency that the model needs for it."""
 _REPLACED = {"velocity": "qvel", "position": "qpos", "temperature": "temperature"}
 Torque = Float[np.ndarray, "rows nv"]
 
 
 class Portrait(NamedTuple):
-    """Friction of each joint over one quantity; over all but the velocity, its size against the motion.
+    """Friction curve of each joint over one quantity; except over velocity, friction is positive against the motion.
 
     Attributes:
-        at: Where the law is drawn [unit of the quantity], NaN of a joint that does not move.
-        law: Its torque there, the median over the closest rows [N m or N].
-        low: Lower end of its 95 % interval, of drives that the data allow; NaN where nothing has an interval.
-        high: Upper end.
-        where: Median of the quantity in each bin of rows, NaN of a bin with too few of them.
-        implied: Median of the friction that their torque implies.
-        lower: Its 10 % quantile in the bin.
-        upper: Its 90 % quantile.
+        at: Points of the curve [unit of the quantity]; NaN: the joint has too few rows.
+        law: Model torque at these points, median over the closest rows [N m or N].
+        low: Lower end of its 95 % interval [N m or N]; NaN: no parameter has an interval.
+        high: Upper end [N m or N].
+        where: Median of the quantity in each bin of rows; NaN: the bin has too few rows.
+        implied: Median of the friction implied by the recorded torque in the bin [N m or N].
+        lower: 10 % quantile of that friction.
+        upper: 90 % quantile.
     """
 
     at: Float[np.ndarray, "points nv"]
@@ -52,12 +52,12 @@ class Portrait(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """States in which a law is looked at.
+    """Recorded states for friction curves.
 
     Attributes:
-        state: What the law sees.
-        counts: Which rows count, joint by joint.
-        implied: The friction that the recorded torque implies in them [N m or N]; None where it is not known.
+        state: Inputs of the model.
+        counts: Rows that count, for each joint.
+        implied: Friction implied by the recorded torque [N m or N]; None: unknown.
     """
 
     state: DriveState
@@ -68,19 +68,23 @@ class Rows(NamedTuple):
 def portray(
     model: FrictionModel, draws: Mapping[str, Float[np.ndarray, "count nv"]], rows: Rows
 ) -> dict[str, Portrait]:
-    """A law over the velocity, and over load, position and temperature where it sees them.
+    """Compute friction curves over velocity, and over load, position and temperature if the model depends on them.
 
-    The band is that of the law alone: of each place, the 2.5 and 97.5 % quantiles over drives that are drawn. Of a law
-    with a memory, what it comes down to at constant velocity is drawn.
+    The 95 % interval contains parameter uncertainty only: the 2.5 and 97.5 % quantiles over drawn drives. A model with
+    memory has its steady torque at constant velocity.
 
-    What rows imply is the law's torque at their instants and what is left of the recorded torque: they lie on the curve
-    where only noise is left, and beside it where the law does not fit.
+    The implied friction is the model torque plus the residual torque at the same instants. It lies on the curve where
+    the residual is noise, and off the curve where the model does not fit.
+
     Source: W. A. Larsen, S. J. McCleary, "The use of partial residual plots in regression analysis", 1972.
 
     Args:
-        model: The law with its identified values.
-        draws: Of parameters, by full name; empty where there are none.
+        model: Model with its identified values.
+        draws: Drawn parameters by full name; empty: none.
         rows: Recorded states.
+
+    Returns:
+        Curves by the quantity on the axis.
     """
     law, rows = copy.deepcopy(model).double(), _thin(rows)
     sees = {what for joint in range(model.nv) for what in law.of_joint(joint)[0].sees} or observe(law, rows.state)
@@ -124,7 +128,7 @@ def _portray(
             bins[:, :, joint] = _sort_into_bins(own, side * rows.implied[counted, joint], along)
     states = rows.state.map(lambda each: torch.from_numpy(np.take_along_axis(each[:, None], nearest, axis=0)))
     if name in _REPLACED:
-        # Rows beside a place stand for it in all but the quantity itself.
+        # The closest rows represent a point in everything but the quantity itself.
         there = torch.from_numpy(np.broadcast_to(at[:, None], nearest.shape).copy())
         states = states._replace(**{_REPLACED[name]: there})
     sides = 1.0 if along else torch.sign(states.qvel)
@@ -138,7 +142,7 @@ def _portray(
 
 
 def _spread_out(signal: Float[np.ndarray, "counted"], count: int, along: bool) -> Float[np.ndarray, "count"]:
-    """Places over the signal's range; over a velocity dense around standstill, where laws differ most."""
+    """Return points over the signal's range; over velocity, dense around standstill, where models differ most."""
     if not along:
         return np.linspace(signal.min(), signal.max(), count)
     share = np.linspace(-1, 1, count)
@@ -154,7 +158,7 @@ def _find_nearest(signal: Float[np.ndarray, "counted"], at: Float[np.ndarray, "p
 def _sort_into_bins(
     signal: Float[np.ndarray, "counted"], torque: Float[np.ndarray, "counted"], along: bool
 ) -> Float[np.ndarray, "4 bins"]:
-    """Of each bin: median of the signal, and median and both quantiles of the torque."""
+    """Return, for each bin, the median of the signal and the median and both quantiles of the torque."""
     place = np.clip(np.searchsorted(_spread_out(signal, BINS + 1, along), signal, "right") - 1, 0, BINS - 1)
     found = np.full((4, BINS), np.nan)
     for number in np.flatnonzero(np.bincount(place, minlength=BINS) >= FEWEST):
@@ -166,7 +170,7 @@ def _sort_into_bins(
 def _draw_law(
     law: FrictionModel, values: Mapping[str, np.ndarray], states: DriveState, sides: torch.Tensor | float
 ) -> Float[np.ndarray, "points nv"]:
-    """The median over the rows at each place of the law's torque with these values of some parameters."""
+    """Return the median model torque over the rows of each point, with these values of some parameters."""
     changed = {name: torch.tensor(value[law.params[name].members(law.nv)]) for name, value in values.items()}
     with torch.no_grad():
         terms = torch.func.functional_call(law, changed, (states,))

@@ -1,4 +1,4 @@
-"""Reading a run's folder back: the law's values, the bench's, and the rollouts that it was judged on."""
+"""Reader of a run's folder: values of friction model and bench, and the rollouts of the evaluation."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,15 +24,15 @@ LAW = "friction.safetensors"
 
 
 def build_drive(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, FrictionModel]:
-    """The bench and the law of saved settings, which may be a stranger's.
+    """Build bench and friction model from saved settings, which may come from someone else.
 
     Args:
-        folder: Of the run or card, for messages.
-        settings: Its settings; the law's has the laws of several joints whole.
+        folder: Folder of the run or card, for messages.
+        settings: Its settings; with different models per joint, `model` contains them in full.
 
     Raises:
-        RunError: No bench or law can be made of them.
-        FrictionzooError: The MJCF is not there any more or does not fit them, or the law does not.
+        RunError: The settings do not describe a bench and a model.
+        FrictionzooError: The MJCF is missing, or MJCF or model do not fit the settings.
     """
     try:
         bench = build(settings.get("bench"), Bench)
@@ -50,19 +50,19 @@ def build_drive(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, Frict
 
 
 def load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
-    """Write the saved values into the model, and return them."""
+    """Load saved values into the model and return them."""
     return put_law(model, read_tensors(path, model.name), path)
 
 
 def read_tensors(path: Path, whose: str) -> dict[str, torch.Tensor]:
-    """What a file of safetensors holds, which is numbers, so nothing is executed.
+    """Read a safetensors file, which holds numbers only and executes nothing.
 
     Args:
-        path: Of the file.
-        whose: Whose values it has, for messages.
+        path: Path of the file.
+        whose: Owner of the values, for messages.
 
     Raises:
-        RunError: It cannot be read.
+        RunError: The file cannot be read.
     """
     try:
         return safetensors.torch.load(path.read_bytes())
@@ -75,7 +75,7 @@ def read_tensors(path: Path, whose: str) -> dict[str, torch.Tensor]:
 
 
 def put_law(model: FrictionModel, saved: dict[str, torch.Tensor], path: Path) -> dict[str, torch.Tensor]:
-    """Write values into the model, and return them; RunError, which names their file, where they are another's."""
+    """Load values into the model and return them; raise RunError with their file's path if they do not fit it."""
     try:
         model.double().load_state_dict(saved)
         return saved
@@ -85,7 +85,7 @@ def put_law(model: FrictionModel, saved: dict[str, torch.Tensor], path: Path) ->
 
 
 def read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Values of the bench's parameters by name; RunError where they are not those of its settings."""
+    """Read the bench's parameter values by name; raise RunError if the names differ from its settings."""
     found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
     if set(found) != set(bench.params):
         came, expected = (", ".join(sorted(names)) for names in (found, bench.params))
@@ -95,13 +95,16 @@ def read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"
 
 
 def read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> Segments:
-    """The long test rollouts; RunError where they do not fit the bench.
+    """Rebuild the long test rollouts from the curves.
 
     Args:
-        path: Where they were read from, for messages.
-        curves: What was read.
-        interval: Of the samples [s].
-        bench: The test stand.
+        path: Path of the curves, for messages.
+        curves: Arrays of the run.
+        interval: Sample interval [s].
+        bench: Test stand.
+
+    Raises:
+        RunError: The curves do not fit the bench.
     """
     signals, states = curves.signals, curves.measured_qpos.shape[1]
     (samples, joints), *others = (signal.shape[1:] for signal in signals.named().values())
@@ -120,7 +123,7 @@ def read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> 
 
 
 def thin(segments: Segments, every: int, history: int) -> Segments:
-    """Every so many samples of the same segments, and as many of the command before them as late commands need."""
+    """Keep one sample in `every`, and `history` commands before the first state for the delay."""
     steps = segments.length // every
     state = every * np.arange(steps + 1)
     command = np.maximum(segments.history + every * np.arange(-history, steps), 0)
@@ -134,7 +137,7 @@ def thin(segments: Segments, every: int, history: int) -> Segments:
 
 
 def hold(segments: Segments, every: int) -> Segments:
-    """The same segments with each command held for so many samples, as where others do not arrive."""
+    """Hold each command for `every` samples, as if those between did not arrive."""
     if every == 1:
         return segments
     sample = every * (np.arange(-segments.history, segments.length) // every)

@@ -1,4 +1,4 @@
-"""`result.json`: the machine-readable record of a run, described by `result.schema.json` beside this file."""
+"""`result.json`: the machine-readable record of a run, described by `result.schema.json` in this folder."""
 
 import contextlib
 import hashlib
@@ -41,37 +41,37 @@ PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lig
 
 
 def read_schema() -> dict[str, Any]:
-    """The JSON schema of `result.json`; its descriptions are the documentation of every field."""
+    """Read the JSON schema of `result.json`; its descriptions document every field."""
     return json.loads(resources.files("frictionzoo.result").joinpath("result.schema.json").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What a run used and found.
+    """Inputs and outcome of a run.
 
     Attributes:
-        name: The chosen model, as in conf/model.
-        bench: The bench that was used.
-        model: The friction law.
-        values: Identified and known values of both.
-        dataset: What was fitted and judged on.
-        evaluation: The rollouts on which it was judged.
-        judgement: Of the identified drive.
-        baseline: Of the same bench identified without friction, on the same rollouts.
-        reference: The values of that bench.
-        torque: What is left of recorded torque; None where there is none.
-        links: Link inertias that were identified along; None where none were.
-        fit: How they were found.
-        timing: Seconds that each part took.
-        settings: All options of the run, among them `seed` and `dtype`.
-        engine: What simulated.
-        proof: That it simulates as MuJoCo does.
-        warnings: What makes the result doubtful, a sentence each.
-        device: Where it ran.
-        uncertainty: How far the data determine what was identified.
-        recipe: What was left open of the settings, and found.
-        residual: Whether what is left of the torque is noise; None where that was not looked at.
-        commands: To copy: what to do next.
+        name: Name of the friction model, as in conf/model.
+        bench: Bench.
+        model: Friction model.
+        values: Identified and known values of bench and model.
+        dataset: Training and test recordings.
+        evaluation: Rollouts of the evaluation.
+        judgement: Errors of the identified drive.
+        baseline: Errors of the same bench identified without friction, on the same rollouts.
+        reference: Values of the bench identified without friction.
+        torque: Residual torque; None: no torque was compared.
+        links: Estimated link inertias; None: not estimated.
+        fit: Method and course of the fit.
+        timing: Duration of each stage [s].
+        settings: All options of the run, including `seed` and `dtype`.
+        engine: Simulation engine.
+        proof: Verification of the engine against MuJoCo C.
+        warnings: Reasons to doubt the result, one sentence each.
+        device: Device of the run.
+        uncertainty: Intervals and identifiability of the parameters.
+        recipe: Automatic settings and their values.
+        residual: Residual analysis; None: not done.
+        commands: Suggested next commands.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Findings:
 
 
 def build_result(found: Findings) -> types.Result:
-    """The record of a run, ready for JSON: no NaN, no numpy types."""
+    """Build the record of a run, ready for JSON: no NaN, no numpy types."""
     bench, uncertainty = found.bench, found.uncertainty
     weights = sum(tensor.numel() for name, tensor in found.model.named_parameters() if name not in found.model.params)
     by_horizon: list[types.HorizonRow] = [
@@ -157,9 +157,9 @@ def build_result(found: Findings) -> types.Result:
 
 
 def pick_metrics(result: types.Result) -> dict[str, float]:
-    """The numbers by which runs are compared, without those that have no value because rollouts diverged.
+    """Return the numbers for the comparison of runs, without those that are missing due to diverged rollouts.
 
-    Errors come first: TensorBoard shows the first few of them, in the order of the alphabet with capitals first.
+    Their names put errors first, because TensorBoard sorts alphabetically, capitals first, and shows only a few.
     """
     picked = {
         "MAE/test_position": result["metrics"]["test"]["position_mae"],
@@ -175,15 +175,15 @@ def pick_metrics(result: types.Result) -> dict[str, float]:
 
 
 def write_result(path: Path, result: types.Result) -> None:
-    """Write `result.json`; OutputError where it cannot be written."""
+    """Write `result.json`; raise OutputError if that fails."""
     write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
 
 
 def read_run(folder: Path) -> tuple[types.Result, Curves]:
-    """What a finished run's `result.json` and `curves.safetensors` hold.
+    """Read `result.json` and `curves.safetensors` of a finished run.
 
     Raises:
-        RunError: It is not the folder of a finished run of this version, or one of the two is damaged.
+        RunError: The folder holds no finished run of this version, or one of the files is damaged.
     """
     refuse_unfinished(folder)
     refuse_links(folder, files=False)
@@ -194,7 +194,7 @@ def read_run(folder: Path) -> tuple[types.Result, Curves]:
 
 
 def _refuse_inconsistent(path: Path, result: types.Result, curves: Curves) -> None:
-    """RunError for parts of a result that name other joints than it has, which a schema cannot say."""
+    """Raise RunError if parts of a result name unknown joints, which a schema cannot express."""
     joints = result["joints"]
     named = [(row["joints"], f"parameters: {p['name']}") for p in result["parameters"] for row in p["by_joint"]]
     named += [([row["joint"] for row in result["by_joint"]], "by_joint")]
@@ -209,15 +209,15 @@ def _refuse_inconsistent(path: Path, result: types.Result, curves: Curves) -> No
 
 
 def read_valid(path: Path, version: int, schema: Mapping[str, Any]) -> dict[str, Any]:
-    """The object that a JSON file of this program holds.
+    """Read an object from a JSON file of this program and validate it.
 
     Args:
-        path: Of the file.
-        version: Its `schema_version`.
-        schema: Its JSON schema.
+        path: Path of the file.
+        version: Expected `schema_version`.
+        schema: JSON schema.
 
     Raises:
-        RunError: It cannot be read, or holds something else.
+        RunError: The file cannot be read or is invalid.
     """
     content = read_json(path)
     if content.get("schema_version") != version:
@@ -228,14 +228,14 @@ def read_valid(path: Path, version: int, schema: Mapping[str, Any]) -> dict[str,
 
 
 def refuse_invalid(path: Path, content: Mapping[str, Any], schema: Mapping[str, Any]) -> None:
-    """RunError, which names the file, where an object is not as a schema has it."""
+    """Raise RunError with the file's path if an object does not match a schema."""
     error = jsonschema.Draft202012Validator(schema).iter_errors(content)
     if first := next(iter(error), None):
         raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
 
 
 def describe_data(dataset: Dataset) -> types.DataRow:
-    """The section `data`: what was read, with hashes."""
+    """Return the section `data`: the recordings, with hashes."""
     hashes = list(dict.fromkeys(log.sha256 for log in dataset.logs))
     joined = hashlib.sha256("\n".join(hashes).encode()).hexdigest()
     return {
@@ -301,17 +301,17 @@ def _list_joints(joints: Sequence[str], judged: Judgement, without: Judgement) -
 
 
 def _as_given(param: Param, side: str, nv: int) -> Any:
-    """A bound of all joints, or a list with one for each."""
+    """Return one bound for all joints, or a list with one per joint."""
     return param.each(side, nv).tolist() if isinstance(getattr(param, side), tuple) else getattr(param, side)
 
 
 def _one_or_all(by_joint: list[Any]) -> Any:
-    """What there is of one joint alone, or a list of several joints'."""
+    """Return the only entry, or the list if there are several joints."""
     return by_joint if len(by_joint) > 1 else by_joint[0]
 
 
 def _interval(ends: np.ndarray | None) -> Any:
-    """None where no joint has one."""
+    """Return the intervals; None if no joint has one."""
     if ends is None or not np.isfinite(ends).any():
         return None
     return _one_or_all([pair.tolist() if np.isfinite(pair).all() else None for pair in ends])

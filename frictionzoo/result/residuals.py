@@ -1,4 +1,4 @@
-"""Whether what an identified drive leaves of the torque is noise, and if not, what of the motion it goes with."""
+"""Residual analysis: whether the residual torque is noise, and which residual factors explain it."""
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -55,23 +55,23 @@ from frictionzoo.result.places import (
 )
 from frictionzoo.result.portrait import Rows
 
-LONGEST = 40_000  # samples that are looked at, shared by the logs
-SHORTEST = 1.0  # s; shorter logs are mostly the ends of filters
-FEWEST = 100  # rows of a joint; fewer tell nothing
-BANDWIDTHS = 10.0, 5.0  # Hz, where noise drowns what lies above
-DROWNED = 0.5  # share of the variance that is left, of which noise may be the cause
-SOFTER = 1.1  # times the residual torque, above which a simulated drive leaves more than it should
-STEP = 1e-2  # of a coordinate, in the difference by it
-LITTLE = 0.01  # share of the friction; smaller ones are not reported
-WRONG = 0.05  # by which a factor of the actuator's torque is off, from which on it is told however little it explains
+LONGEST = 40_000  # most samples analysed, shared by the logs
+SHORTEST = 1.0  # s; shorter logs consist mostly of filter transients
+FEWEST = 100  # fewest rows in total, and of a joint
+BANDWIDTHS = 10.0, 5.0  # Hz, tried if noise dominates at a higher bandwidth
+DROWNED = 0.5  # largest share of noise in the residual variance
+SOFTER = 1.1  # ratio to the residual torque above which the imitation leaves too much
+STEP = 1e-2  # of a coordinate, for finite differences
+LITTLE = 0.01  # share of the friction; smaller factors are not reported
+WRONG = 0.05  # relative error of the actuator torque above which a scale factor is always reported
 RIPPLES = {"ripple": "position", "cogging": PULL}
-"""What a ripple goes with, by whether it is against the motion."""
+"""Factor of a ripple: against the motion, or alike in both directions."""
 GAP = "backlash"
-"""The law of a gear with a gap."""
-CONCENTRATED = 0.7  # share of the residual torque that is near changes of the motor's direction where a gear has a gap
-CLEAR = 2.0  # times noise, from which on that is looked at
-ALONE = 50  # part of the rows that either side has at the least
-ALIKE = 15.0  # neighbouring rows that are as good as one
+"""Friction model of a gear with a gap."""
+CONCENTRATED = 0.7  # smallest share of the squared residual near motor reversals that indicates a gap
+CLEAR = 2.0  # times the noise; smaller residuals are not tested for a gap
+ALONE = 50  # inverse of the smallest share of rows on either side
+ALIKE = 15.0  # neighbouring rows that count as one independent row
 _log = logging.getLogger(__name__)
 
 Friction = Callable[[Mapping[str, Any], DriveState], np.ndarray]
@@ -79,20 +79,20 @@ Torque = Float[np.ndarray, "rows nv"]
 
 
 class Left(NamedTuple):
-    """What is left of the torque.
+    """Residual torque of the training recordings.
 
     Attributes:
-        equation: What it was found with.
-        torque: What is left [N m or N].
-        friction: The law's torque, filtered and decimated [N m or N].
-        unfiltered: The same at the rows' instants.
-        counts: Which rows count, joint by joint: those in motion.
-        recordings: Bench, law and the logs that were looked at.
-        state: What the law sees in all their samples.
-        bandwidth: Up to which torques are compared [Hz].
-        nothing: What the identified drive itself leaves, simulated under the same commands and measured by the same
-            encoders: nothing is wrong there. Where its motion is another, as much as the encoders' noise makes of the
-            recorded one.
+        equation: Torque equation.
+        torque: Residual torque [N m or N].
+        friction: Friction torque of the model, filtered and decimated [N m or N].
+        unfiltered: Friction torque at the rows' instants, not filtered [N m or N].
+        counts: Rows that count, for each joint: those in motion.
+        recordings: Bench, friction model and analysed logs.
+        state: Inputs of the model in all samples of the logs.
+        bandwidth: Bandwidth of the comparison [Hz].
+        nothing: Residual torque of a reference without model error: the identified drive, simulated under the same
+            commands and measured by the same encoders. If its motion differs too much from the recording, the effect
+            of encoder noise on the recording.
     """
 
     equation: TorqueEquation
@@ -106,29 +106,29 @@ class Left(NamedTuple):
     nothing: "Left | None" = None
 
     def of(self, joint: int) -> Float[np.ndarray, "counted"]:
-        """Residual torque of a joint in the rows that count."""
+        """Return the residual torque of a joint in the rows that count."""
         return self.torque[self.counts[:, joint], joint]
 
     def noise(self, joint: int) -> Float[np.ndarray, "counted"]:
-        """As much of it as there is where nothing is wrong."""
+        """Return the residual torque of a joint in the reference without model error."""
         return np.zeros(1) if self.nothing is None else self.nothing.of(joint)
 
     def law(self, joint: int) -> tuple[FrictionModel, set[str]]:
-        """The law of a joint, and what it sees."""
+        """Return the friction model of a joint and the quantities on which it depends."""
         model = self.recordings.model
         law = model.of_joint(joint)[0]
         return law, {*law.sees} or observe(model, self.state)
 
     @property
     def time(self) -> Float[np.ndarray, "rows"]:
-        """Of each row, the time since the first log began, as if the logs were one after the other [s]."""
+        """Time of each row, with the logs one after the other [s]."""
         return self.recordings.logs[0].timestep * self._places
 
     @property
     def rows(self) -> Rows:
-        """The rows as a portrait of the law takes them.
+        """Rows for friction curves.
 
-        The actuator's torque is that which the law asks for: what it does give answers to any error, and goes with it.
+        Their actuator torque is the one that the model needs, because the applied torque correlates with the error.
         """
         state = self.state.map(lambda signal: signal[self._places])
         motor = state.motor_torque - self.torque
@@ -142,16 +142,17 @@ class Left(NamedTuple):
 def find_left(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left | None:
-    """What is left of the torque that the actuators give, up to the highest bandwidth in which noise is not most of it.
+    """Compute the residual torque, up to the highest bandwidth in which noise does not dominate.
 
     Args:
-        recordings: Bench, law with the values that were found, and the training logs.
+        recordings: Bench, model with its fitted values, and the training logs.
         space: Coordinates of the values.
-        vector: The values.
-        filtering: How positions become accelerations, and up to which frequency torques are compared.
+        vector: Values in these coordinates.
+        filtering: Filters for accelerations, and the bandwidth of the comparison.
 
     Returns:
-        None where the recordings are too short, or it is not finite; a line tells why.
+        Residual torque. None: the logs have fewer than `FEWEST` rows; or the torque cannot be computed, and a log line
+        gives the reason.
     """
     bench, model, logs = recordings
     logs = _shorten(logs)
@@ -169,15 +170,15 @@ def find_left(
 
 
 def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]) -> types.ResidualRow | None:
-    """What the torque that is left in motion goes with, as `ResidualRow` says.
+    """Find the residual factors of the torque in motion, as defined in `ResidualRow`.
 
     Args:
-        left: What is left.
+        left: Residual torque.
         space: Coordinates of the values.
-        vector: The values.
+        vector: Values in these coordinates.
 
     Returns:
-        None where it has no finite derivative by the values; a line tells why.
+        Section `residual`. None: the residual torque has no finite derivative by the values, and a log line says so.
     """
     bench = left.recordings.bench
     slopes = [_slopes(each, space, vector) for each in (left, left.nothing) if each is not None]
@@ -190,7 +191,7 @@ def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coord
 
 
 def _shorten(logs: Sequence[Log]) -> tuple[Log, ...]:
-    """Logs that are long enough, some of many, and of long ones the beginning: as many samples as are looked at."""
+    """Reduce the logs to about `LONGEST` samples: drop short logs, thin out many logs, and cut long ones."""
     kept = [log for log in logs if log.samples * log.timestep > SHORTEST] or list(logs)
     whole = sum(log.samples for log in kept)
     if whole > LONGEST:
@@ -202,7 +203,7 @@ def _shorten(logs: Sequence[Log]) -> tuple[Log, ...]:
 def _narrow(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left:
-    """What is left up to the highest bandwidth in which noise is not most of it."""
+    """Compute the residual torque up to the highest bandwidth in which noise does not dominate."""
     imitations, joints = imitate(recordings, space, vector), range(recordings.bench.nv)
     noisier = tuple(map(add_noise, recordings.logs))
 
@@ -210,14 +211,14 @@ def _narrow(
         return _leave(recordings._replace(logs=logs), space, vector, filtering)
 
     def compare(filtering: Filtering) -> tuple[Left, bool]:
-        """The residual torque, that of an imitation with nothing wrong, and whether encoder noise drowns it."""
+        """Compute the residual torque with its reference; return whether encoder noise dominates."""
         left, worse = leave(recordings.logs, filtering), leave(noisier, filtering)
         noise = worse._replace(torque=worse.torque - left.torque, counts=left.counts)
         drowned = (np.square(noise.torque).mean(axis=0) > DROWNED * np.square(left.torque).mean(axis=0)).any()
         return left._replace(nothing=noise if imitations is None else leave(imitations, filtering)), bool(drowned)
 
     left, drowned = compare(filtering)
-    # A soft constraint leaves more where the motion turns round than a drive that it does not describe.
+    # At reversals, an imitation with a soft constraint leaves more than a real drive without such a constraint.
     if imitations is not None and any(_rms(left.noise(at)) > SOFTER * _rms(left.of(at)) for at in joints):
         imitations = imitate(recordings, space, vector, stiff=True) or imitations
         left = left._replace(nothing=leave(imitations, filtering))
@@ -229,7 +230,7 @@ def _narrow(
             if sum(narrower.decimation(recordings.logs).rows) < FEWEST:
                 break
             (left, drowned), filtering = compare(narrower), narrower
-        except FrictionzooError:  # too short for it
+        except FrictionzooError:  # too short for this bandwidth
             break
     return left
 
@@ -237,7 +238,7 @@ def _narrow(
 def _leave(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left:
-    """The residual torque in this bandwidth."""
+    """Compute the residual torque in this bandwidth."""
     bench, model, logs = recordings
     substeps = bench.sampling(logs[0].timestep).substeps
     equation = TorqueEquation(space, recordings, filtering, held=True, substeps=substeps)
@@ -253,16 +254,16 @@ def _leave(
 
 
 def _velocity_noise(log: Log, filtering: Filtering) -> Float[np.ndarray, "nv"]:
-    """Standard deviation of what the encoders' noise makes of velocities [rad/s or m/s]."""
+    """Return the standard deviation of velocity noise caused by encoder noise [rad/s or m/s]."""
     noise = np.array([find_noise(column) for column in log.qpos.T])
     white = np.random.default_rng(0).normal(size=log.qpos.shape)
     return noise * np.sqrt(np.mean(np.square(filtering.motion(replace(log, qpos=white)).qvel), axis=0))
 
 
 def _near_rest(slow: Bool[np.ndarray, "time nv"], near: int, decimate: Decimation) -> Bool[np.ndarray, "time nv"]:
-    """Samples that have a rest as near, within their log: slow ones for half as many in a row, not those in passing.
+    """Return the samples within `near` samples of a rest in their log; a rest has `near / 2` slow samples or more.
 
-    At rest friction is whatever holds the joint, and behind the filter that reaches as far.
+    At rest, friction is whatever holds the joint, and the filter spreads it over neighbouring samples.
     """
     parts = []
     for part in np.split(slow, np.cumsum(decimate.lengths)[:-1]):
@@ -272,7 +273,7 @@ def _near_rest(slow: Bool[np.ndarray, "time nv"], near: int, decimate: Decimatio
 
 
 def _places(decimate: Decimation) -> Int[np.ndarray, "rows"]:
-    """Index of the sample of each row."""
+    """Return the index of the sample of each row."""
     starts = np.cumsum((0, *decimate.lengths[:-1]))
     ends = zip(starts, decimate.lengths, strict=True)
     return np.concatenate(
@@ -281,7 +282,7 @@ def _places(decimate: Decimation) -> Int[np.ndarray, "rows"]:
 
 
 def _follow(model: FrictionModel, logs: Sequence[Log]) -> Friction:
-    """The law's torque along the recorded motion [N m or N]; a memory is carried along, log by log."""
+    """Return a function for the model torque over the recorded motion [N m or N]; memory restarts with each log."""
     if model.memory:
         return _remember(model, logs)
 
@@ -315,9 +316,10 @@ def _remember(model: FrictionModel, logs: Sequence[Log]) -> Friction:
 def _slopes(
     left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]
 ) -> Float[np.ndarray, "rows nv parameters"]:
-    """How what is left changes with each identified parameter, that of all joints at once, where it is at no bound.
+    """Return the derivative of the residual torque by each identified parameter, changed in all joints at once.
 
-    The actuator's are left out but for constants: with them, the balance has a solution in which all torques are 0.
+    Values at a bound stay. Actuator parameters are skipped unless they are torques: with free gains, the torque
+    equation has a solution in which all torques are 0.
     """
     bench, model, logs = left.recordings
     friction = _follow(model, logs)
@@ -335,7 +337,7 @@ def _slopes(
 
 
 def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.JointResidualRow | None:
-    """What is left of one joint's torque; None where it hardly moves."""
+    """Return the residual analysis of one joint; None if it hardly moves."""
     rows = np.flatnonzero(left.counts[:, joint])
     if len(rows) < FEWEST:
         return None
@@ -355,13 +357,13 @@ def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.Joi
 
 
 def _counts(place: types.PlaceRow, friction: float) -> bool:
-    """Whether a place is worth telling."""
+    """Return whether a residual factor is large enough to report."""
     scale = place["value"] if place["place"] == "scale" else None
     return place["torque"] > LITTLE * friction or (scale is not None and abs(np.log(scale)) > WRONG)
 
 
 def _attribute(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> list[types.PlaceRow]:
-    """What the error of a joint goes with by more than where nothing is wrong, and which law sees that."""
+    """Find the residual factors that exceed those of the reference, and the models that have them."""
     looked = _look(left, joint, slopes[0])
     if (gap := _find_gap(looked, left, joint)) is not None:
         return [gap]
@@ -379,7 +381,7 @@ def _attribute(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> list[typ
 
 
 class _Looked(NamedTuple):
-    """A joint's error, and what it is explained by: rows that count, what parameters may move, what the joint did."""
+    """Residual torque of a joint with the data to explain it: parameter effects, rows that count, and motion."""
 
     error: Float[np.ndarray, "counted"]
     known: Float[np.ndarray, "counted _"]
@@ -390,7 +392,7 @@ class _Looked(NamedTuple):
 
 
 def _find_gap(looked: _Looked, left: Left, joint: int) -> types.PlaceRow | None:
-    """What of an error is near changes of the motor's direction, where that is next to all of it."""
+    """Return the factor `gap` if most of the squared error is near sign changes of the motor torque."""
     near = near_crossings(looked.seen, _places(looked.decimate)[looked.rows])
     squares, few = np.square(looked.error), max(len(near) // ALONE, 1)
     if not few < near.sum() < len(near) - few or _rms(looked.error) < CLEAR * _rms(left.noise(joint)):
@@ -415,7 +417,7 @@ def _look(left: Left, joint: int, slopes: Float[np.ndarray, "rows nv parameters"
 
 
 def _choose(looked: _Looked) -> dict[str, float]:
-    """The limit of the torque, and the periods of ripples, that explain most of an error."""
+    """Choose the torque limit and the ripple periods that explain most of an error."""
     error, known, rows, seen, decimate, periods = looked
     chosen = {"limit": find_limit(seen, decimate, rows, error, known)}
     if len(periods):
@@ -426,7 +428,7 @@ def _choose(looked: _Looked) -> dict[str, float]:
 
 
 def _candidates(looked: _Looked, chosen: Mapping[str, float]) -> dict[str, Candidate]:
-    """All that an error may go with."""
+    """Return all candidates for an error."""
     seen, decimate, rows = looked.seen, looked.decimate, looked.rows
     excess = decimate(beyond_limit(seen, chosen["limit"]))[rows]
     candidates = {"limit": Candidate(excess, len(LIMITS))} if is_limited(excess, looked.error) else {}
@@ -462,7 +464,7 @@ def _name_law(
 
 
 def _value(place: str, looked: _Looked, usual: Factors) -> float | None:
-    """What a constant, a factor of the actuator's torque or a delay is by an error, beyond its usual factor there."""
+    """Estimate a constant torque, factor of the actuator torque or delay, beyond its usual value in the reference."""
     if place not in ("constant", "scale", "late"):
         return None
     column = as_candidates(looked.seen, looked.decimate, looked.rows)[place].columns

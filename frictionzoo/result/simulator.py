@@ -1,4 +1,4 @@
-"""A drive for a simulator that takes MuJoCo's steps: the parameters with which these steps move as the drive does."""
+"""Conversion of a drive to parameters with which a simulator with MuJoCo's steps reproduces its motion."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from frictionzoo.result.identified import Identified
 
 RK4 = "RK4"
-"""MuJoCo's integrator of fourth order: its steps need the parameters of continuous time."""
-_LEAST = 0.1  # share of an armature that stays at least
-_MOST_SHARED = 20  # samples that last a whole number of steps
-_WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
+"""MuJoCo's fourth-order integrator, which needs the parameters in continuous time."""
+_LEAST = 0.1  # smallest share of an armature that compensation keeps
+_MOST_SHARED = 20  # most samples tried that last a whole number of steps
+_WHOLE = 0.01  # largest relative deviation from a whole number of steps, as for recordings
 
 
 def put_into_simulator(drive: "Identified", timestep: float | None, integrator: str | None) -> "Identified":
@@ -65,19 +65,19 @@ def put_into_simulator(drive: "Identified", timestep: float | None, integrator: 
 
 
 def stands_in(drive: "Identified") -> bool:
-    """Return whether the drive is what a simulator has in place of a drive in continuous time."""
+    """Return whether the drive represents, in a simulator, a drive in continuous time."""
     return drive.origin is not None and drive.origin.bench.second_order
 
 
 def read_integrator(drive: "Identified") -> str:
-    """Return the integrator of the simulator that the drive's parameters are for."""
+    """Return the integrator of the simulator for which the drive's parameters hold."""
     return RK4 if stands_in(drive) and drive.bench.second_order else drive.bench.integrator
 
 
 def predict_origin(drive: "Identified") -> Prediction:
-    """Predict the long test rollouts of the drive that this one stands for in a simulator.
+    """Predict the long test rollouts of the drive that this one represents in a simulator.
 
-    The rollouts have this drive's samples, and hold each command from one sample to the next.
+    The rollouts have this drive's samples and hold each command until the next sample.
     """
     if drive.origin is None:
         return Prediction(*drive.rollout())
@@ -86,22 +86,22 @@ def predict_origin(drive: "Identified") -> Prediction:
 
 
 def find_residual(drive: "Identified") -> Float[np.ndarray, "batch time nv"]:
-    """Return what the drive itself, in its own steps, lacks of the measured positions [rad or m]."""
+    """Return measured minus simulated positions of the original drive, in its simulation steps [rad or m]."""
     origin = drive.origin or drive
     return _pick(drive, origin.recorded.qpos[:, 1:] - origin.rollout()[0])
 
 
 def find_errors(drive: "Identified", qpos: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch time nv"]:
-    """Return what positions of the long test rollouts in a simulator lack of the measured ones [rad or m].
+    """Return measured minus simulated positions of the long test rollouts in a simulator [rad or m].
 
-    A simulator with steps longer than the recordings' interval holds commands that were not recorded. There the
-    measured position is the recorded one, moved as the drive itself moves under the held commands.
+    A simulator that keeps only every n-th sample holds commands longer than the recording did. The measured position
+    then includes the resulting change of the drive's motion.
     """
     return find_residual(drive) + predict_origin(drive).qpos - qpos
 
 
 def find_limited(drive: "Identified") -> list[int]:
-    """Find the joints whose armature cannot be as small as the simulator's steps need."""
+    """Find the joints whose compensated armature was raised to the smallest allowed value."""
     if drive.origin is None or not stands_in(drive):
         return []
     armature, own = drive.values["bench"]["armature"], drive.origin.values["bench"]["armature"]
@@ -109,15 +109,15 @@ def find_limited(drive: "Identified") -> list[int]:
 
 
 def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, step: Mapping[str, Any]) -> Bench:
-    """Build the bench that a simulator of first order has in place of one of second order.
+    """Build the bench for a first-order simulator from one of second order.
 
-    Commands act half a step later, and dry friction is no stiffer than the simulator takes.
+    Commands act half a step later, and dry friction is no stiffer than the simulator allows.
 
     Args:
         bench: Bench of second order.
-        settings: Its section.
-        values: The drive's values.
-        step: `timestep` [s], and `integrator` where it differs.
+        settings: Section `bench` of the settings.
+        values: Values of the drive.
+        step: `timestep` [s], and `integrator` if it differs.
     """
     known = {"init": _delay(values, step["timestep"]).tolist(), "high": 1.0, "identify": False}
     params = {**(settings.get("params") or {}), "delay": known}
@@ -128,17 +128,17 @@ def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, s
 def compensate(
     bench: Bench, model: FrictionModel, values: Values, segments: Segments
 ) -> dict[str, dict[str, np.ndarray]]:
-    """Return a drive's values for a simulator of first order.
+    """Return a drive's values for a first-order simulator.
 
-    Such a step takes torques that depend on the velocity at its begin or at its end, and not in its middle. For a
-    torque -d v, an armature that is h/2 d larger, or smaller, has the same effect. Where d depends on the state, its
-    median over the measured states counts. An armature keeps at least a tenth of its value.
+    Its step evaluates velocity-dependent torques at the beginning or end of the step instead of the middle. For a
+    torque -d v, an armature larger or smaller by h/2 d compensates this. If d depends on the state, its median over the
+    measured states is used. An armature keeps at least a tenth of its value.
 
     Args:
-        bench: Bench of first order, as `build_simulated` makes it.
-        model: The friction law.
+        bench: First-order bench from `build_simulated`.
+        model: Friction model.
         values: Values of the drive in continuous time.
-        segments: Measured states; without any, a velocity of 1 rad/s or m/s counts.
+        segments: Measured states; empty: one state with all inputs equal to 1.
     """
     stepping = SecondOrder(bench, friction_of(model))
     with jax.enable_x64(True):
@@ -154,13 +154,13 @@ def compensate(
 
 
 def _soften(bench: Bench, timestep: float) -> dict[str, list[float]]:
-    """The stiffest friction constraint that MuJoCo takes in such steps [s]."""
+    """Return the stiffest friction constraint that MuJoCo allows with this step [s]."""
     constant, ratio = bench.solreffriction
     return {"solreffriction": [max(constant, 2 * timestep), ratio] if constant > 0 else [constant, ratio]}
 
 
 def _share_samples(segments: Segments, timestep: float) -> int | None:
-    """The fewest samples of the recordings that last a whole number of such steps [s]; None where none do."""
+    """Return the smallest number of recorded samples that last a whole number of steps [s]; None if none does."""
     for every in range(1, min(_MOST_SHARED, segments.length) + 1 if timestep > 0 else 0):
         steps = every * segments.timestep / timestep
         if round(steps) and abs(steps / round(steps) - 1) <= _WHOLE / every**2:
@@ -169,12 +169,12 @@ def _share_samples(segments: Segments, timestep: float) -> int | None:
 
 
 def _every(drive: "Identified") -> int:
-    """Samples of the recordings in one sample of the drive."""
+    """Return the number of recorded samples in one sample of the drive."""
     return max(1, round(drive.segments.timestep / (drive.origin or drive).segments.timestep))
 
 
 def _pick(drive: "Identified", rows: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch samples nv"]:
-    """The rows at the drive's samples, of rows at those of the recordings."""
+    """Pick the rows at the drive's samples from rows at the recorded samples."""
     return rows[:, _every(drive) - 1 :: _every(drive)][:, : drive.segments.length]
 
 

@@ -1,4 +1,4 @@
-"""Recorded torque against what an identified drive needs for the recorded motion: what is left, joint by joint."""
+"""Residual torque of each joint: recorded torque minus the torque that the drive needs for the recorded motion."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -20,19 +20,19 @@ from frictionzoo.models import TorchFriction
 from frictionzoo.result import torque_types as types
 
 AS_THE_FIT: Mapping[str, Any] = {"bandwidth": None, "held": None}
-"""Torque is compared as the fit does it."""
+"""Options that compare torque as the fit does."""
 _log = logging.getLogger(__name__)
 
 
 def choose_filtering(fit: Fit, torque: Mapping[str, Any]) -> tuple[Filtering, bool]:
-    """How torque is compared, and whether a command is held: as the fit has it, but for what the options say.
+    """Return the filtering of compared torque, and whether commands are held; the options override the fit.
 
     Args:
-        fit: The method.
-        torque: `evaluation.torque`: `bandwidth` [Hz] and `held`, None for the fit's.
+        fit: Fit method.
+        torque: `evaluation.torque`: `bandwidth` [Hz] and `held`; None: as in the fit.
 
     Raises:
-        ConfigError: An option is unknown or impossible.
+        ConfigError: An option is unknown or invalid.
     """
     for name in torque.keys() - AS_THE_FIT.keys():
         raise ConfigError(f"evaluation.torque.{name}: unknown; {closest(name, AS_THE_FIT)}")
@@ -50,17 +50,17 @@ def measure_torque(
     vector: Float[np.ndarray, "coordinates"],
     filtering: tuple[Filtering, bool],
 ) -> types.TorqueRow | None:
-    """Root mean squares of the torque that is left of each joint, as `TorqueRow` says what that is.
+    """Compute the root mean square residual torque of each joint, as defined in `TorqueRow`.
 
     Args:
-        recordings: Bench, law, and all logs, those of the training first.
-        train: How many these are.
+        recordings: Bench, friction model and all logs, training logs first.
+        train: Number of training logs.
         space: Coordinates of the values.
-        vector: The values.
-        filtering: As `choose_filtering` gives it.
+        vector: Values in these coordinates.
+        filtering: Result of `choose_filtering`.
 
     Returns:
-        None where the recordings have no torque or it cannot be compared; a line tells why.
+        Section `torque`. None: the recordings have no torque, or it cannot be compared and a log line gives the reason.
     """
     compared = _find_torque(recordings)
     if compared is None:
@@ -81,7 +81,7 @@ def measure_torque(
 
 
 def _find_torque(recordings: Recordings) -> Literal["torque", "ctrl"] | None:
-    """What of the recordings is torque: `torque`, `ctrl` or nothing."""
+    """Return the signal that holds the torque: `torque`, `ctrl` or None."""
     bench, model, logs = recordings
     if isinstance(model, TorchFriction):
         _log.info("residual torque not computed: %s exists only in torch", model.name)
@@ -99,7 +99,7 @@ def _rms(*torques: Float[np.ndarray, "rows nv"]) -> Float[np.ndarray, "torques n
 
 
 def _describe(bench: Bench, found: Mapping[str, Float[np.ndarray, "torques nv"]]) -> dict[str, Any]:
-    """Root mean squares of each part, on average and joint by joint."""
+    """Return the root mean squares of each part, averaged over the joints and for each joint."""
 
     def row(of: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
         return {part: dict(zip(("residual", "torque"), of(rms).tolist(), strict=True)) for part, rms in found.items()}

@@ -1,4 +1,4 @@
-"""Parameters joint by joint: one entry a joint, or a group of joints that share a value."""
+"""Parameter entries: one per joint, or per group of joints that share a value."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,16 +16,16 @@ ALL = "all joints"
 
 
 class Parameter(NamedTuple):
-    """One physical parameter, as a run left it.
+    """One physical parameter of a run's result.
 
     Attributes:
-        value: Of each joint, in `unit`; NaN where its law has no such parameter.
-        unit: Its unit.
-        identified: Whether the fit chose it; else it was known.
-        interval: Lower and upper end of the 95 % interval of each joint; NaN where there is none.
-        identifiable: Whether the data determine it in all joints; None where that was not asked.
-        by_joint: The same as `result.json` has it: an entry for each joint, or for joints that share a value, with its
-            `name`, its `joints`, and whether it is `identified`, `at_bound` and `identifiable`.
+        value: Value of each joint, in `unit`; NaN: its model has no such parameter.
+        unit: Unit of the value.
+        identified: Whether the fit estimated it; otherwise it was known.
+        interval: Lower and upper end of each joint's 95 % interval; NaN: no interval.
+        identifiable: Whether the data determine it in all joints; None: not tested.
+        by_joint: Entries of `result.json`, one per joint or per group of joints that share a value, with `name`,
+            `joints`, `identified`, `at_bound` and `identifiable`.
     """
 
     value: Float[np.ndarray, "nv"]
@@ -37,7 +37,7 @@ class Parameter(NamedTuple):
 
 
 def read_parameters(result: Result, nv: int) -> dict[str, Parameter]:
-    """The bench's and the law's physical parameters by full name, `bench.armature`, as a record has them."""
+    """Read the physical parameters of bench and friction model from a record, by full name (`bench.armature`)."""
     found = {}
     for row in result["parameters"]:
         value, interval = row["value"], row["interval"]
@@ -50,14 +50,14 @@ def read_parameters(result: Result, nv: int) -> dict[str, Parameter]:
 
 
 def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncertainty: Uncertainty) -> list[ValueRow]:
-    """The entries of a parameter, in the order of the joints.
+    """List the entries of a parameter in the order of the joints.
 
     Args:
-        bench: Its joints, and which of them share the value.
+        bench: Bench with the joints and the groups that share the value.
         param: The parameter.
-        full: Its full name, `bench.armature`.
-        value: Of each joint that has it.
-        uncertainty: How far the data determine what was identified.
+        full: Full name, such as `bench.armature`.
+        value: Value of each joint that has the parameter.
+        uncertainty: Intervals and identifiability.
     """
     nv = bench.nv
     value = param.spread(np.asarray(value, np.float64), nv)
@@ -84,10 +84,10 @@ def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncert
 
 
 def _group(bench: Bench, param: Param, value: np.ndarray) -> dict[str, list[int]]:
-    """Joints by the name of their group, in the order of the first of each."""
+    """Return the joints of each group by its name, ordered by the first joint."""
     groups, members = bench.groups(param), param.members(bench.nv)
     if not param.is_identified:
-        # Nothing holds known values of a group together.
+        # Known values of a group may differ.
         alike = {group: {value[i] for i in members if groups[i] == group} for group in groups}
         groups = [of if len(alike[of]) == 1 else bench.joints[i] for i, of in enumerate(groups)]
         same = bench.nv > 1 and (value[members] == value[members[0]]).all()

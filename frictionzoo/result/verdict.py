@@ -1,6 +1,6 @@
-"""Doubts about a result, weighed: causes first, then what they lead to.
+"""Verdict on a result: findings with causes first, a grade, and next commands.
 
-The terminal, the page and `result.json` show these findings; none of them has doubts of its own.
+The terminal, the page and `result.json` show these findings only.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from frictionzoo.result.types import MetricsRow, ParameterRow, ReferenceRow, Res
 from frictionzoo.result.verdict_types import CommandRow, FindingRow, VerdictRow
 
 DO_NOT_USE = "do not use it"
-"""Grade of a result of which no value is to be used."""
+"""Grade of a result that must not be used."""
 PURPOSES = {
     "repair": "the corrected run",
     "inspect": "the recordings to inspect",
@@ -27,21 +27,21 @@ PURPOSES = {
     "recording": "the recording to make",
     "export": "the export",
 }
-"""What a suggested command does, by its kind."""
-BOUNDS = 2  # identified parameters at bounds from which on that is doubted
-LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
-NOTHING = 2 / 3  # of that error; a law that leaves more explains next to nothing
+"""Purpose of a suggested command, by its kind."""
+BOUNDS = 2  # identified parameters at bounds from which on a fit may have failed
+LITTLE = 1 / 3  # of the test error without friction; a good model leaves less
+NOTHING = 2 / 3  # of the same error; a model that leaves more explains almost nothing
 _SIZES = {UNITS[joint][of] for joint in UNITS for of in ("torque", "damping")}
-LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
-MOVING = 1 / 3  # of half its interval, by which it moves then
-MOVING_BLINDLY = 0.01  # of its value, where it has no interval
-FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
-OVERFIT = 1.5  # ratio of test to train error that is told
-ENOUGH = 100  # samples for each parameter, so many that a fit does not learn the noise
-UNEXPLAINED = 0.05  # share of the friction that may be left beyond noise
-CONTRADICTED = 0.5  # share of the friction, or of recorded torque, that may be left of a result that is to be used
-DOUBTED = 0.2  # share of recorded torque that may be left without being told
-ALIKE = 0.5  # correlation of neighbours from which on what is left is no noise
+LATE = 0.1  # share of the iterations at the end in which a parameter must not move
+MOVING = 1 / 3  # of half its interval; larger moves are reported
+MOVING_BLINDLY = 0.01  # of its value, if it has no interval
+FALLING = 0.01  # largest relative decrease of the loss in the last tenth of the iterations
+OVERFIT = 1.5  # ratio of test to train error above which it is reported
+ENOUGH = 100  # samples per parameter that prevent overfitting
+UNEXPLAINED = 0.05  # largest residual torque beyond noise, as a share of the friction
+CONTRADICTED = 0.5  # largest residual of a usable result, as a share of friction or recorded torque
+DOUBTED = 0.2  # share of recorded torque above which the residual is reported
+ALIKE = 0.5  # correlation of neighbours above which the residual is not noise
 PLACES = {
     "constant": "a constant torque",
     "scale": "a scale error of the torque",
@@ -58,18 +58,18 @@ PLACES = {
     "reversal": "time since the last reversal (as with presliding friction)",
     "gap": "time around motor reversals (as with backlash)",
 }
-"""What explains residual torque, in words."""
+"""Descriptions of the residual factors."""
 CAUSES = ("identification", "recordings", "residual", "torque")
-"""Kinds of findings that come first, in this order: the others are often what these lead to."""
+"""Kinds of findings that come first, in this order; they often cause the others."""
 _MORE = "raise fit.iterations"
 
 
 def judge(result: Result, commands: Sequence[CommandRow] = ()) -> VerdictRow:
-    """Return the verdict on a result by what else it holds, with those of these commands that it allows.
+    """Return the verdict on a result, with the commands that it allows.
 
     Args:
-        result: The record; its `verdict` is not looked at.
-        commands: As `VerdictRow` has them, before the verdict.
+        result: The record; its `verdict` is ignored.
+        commands: Suggested commands, in the order of `VerdictRow`.
     """
     ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
     findings = sorted(find_doubts(result), key=lambda row: (ranks.get(row["kind"], len(ranks)), not row["severe"]))
@@ -80,7 +80,7 @@ def judge(result: Result, commands: Sequence[CommandRow] = ()) -> VerdictRow:
 
 
 def _allow(commands: Sequence[CommandRow], grade: str, identified: bool) -> list[CommandRow]:
-    """Return the commands that are safe to suggest: values that are wrong belong neither on hardware nor in exports."""
+    """Return the commands that are safe to suggest: wrong values belong neither on hardware nor in exports."""
     kinds = {row["kind"] for row in commands}
     left_out: set[str] = {"recording"} if "repair" in kinds else set()
     if grade == DO_NOT_USE:
@@ -91,22 +91,22 @@ def _allow(commands: Sequence[CommandRow], grade: str, identified: bool) -> list
 
 
 def is_usable(result: Result) -> bool:
-    """Return whether the verdict on a result lets it be exported or used to design a recording."""
+    """Return whether the verdict allows export of a result and its use for experiment design."""
     return result["verdict"]["grade"] != DO_NOT_USE
 
 
 def say_purposes(commands: Sequence[CommandRow]) -> str:
-    """Return what suggested commands do, in their order."""
+    """Return the purposes of suggested commands in their order."""
     return ", ".join(PURPOSES[row["kind"]] for row in commands)
 
 
 def say_finding(finding: FindingRow) -> str:
-    """A finding in one sentence, with what mends it."""
+    """Return a finding with its remedy in one sentence."""
     return finding["text"] + (f"; {finding['mend']}" if finding["mend"] else "")
 
 
 def find_doubts(result: Result) -> Iterator[FindingRow]:
-    """All that speaks against a result, in the order in which it is looked at."""
+    """Yield all findings of a result, in the order of the checks."""
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
         yield _find(
@@ -177,7 +177,7 @@ def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
 
 
 def _doubt_parameters(result: Result) -> Iterator[FindingRow]:
-    """What the data do not determine."""
+    """Yield findings on parameters that the data do not determine."""
     if doubtful := name_unidentifiable(result["parameters"]):
         text = f"not identifiable from these data: {', '.join(doubtful)}"
         yield _find("identifiability", text, "do not interpret these values")
@@ -189,7 +189,7 @@ def _doubt_parameters(result: Result) -> Iterator[FindingRow]:
 
 
 def list_rollouts(result: Result) -> list[tuple[str, MetricsRow]]:
-    """All rollouts that judge, by what they are of."""
+    """List the metrics at all horizons and of the long test rollout, with a label of the rollouts."""
     names = {"test": "test", "train": "training", "model": "test", "baseline": "frictionless test"}
     judged = [(names[part], entry[part]) for entry in result["by_horizon"] for part in ("test", "train", "baseline")]
     return judged + [(names[part], result["paper"]["a"][part]) for part in ("model", "baseline")]
@@ -204,7 +204,7 @@ def _doubt_stability(result: Result) -> Iterator[FindingRow]:
 
 
 def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
-    """What explains the residual torque, where that is not noise."""
+    """Yield the residual factors, and residual torque beyond noise that no factor explains."""
     rows, unit = residual["by_joint"], residual["unit"]
     found: dict[tuple[str, str | None], list[tuple[JointResidualRow, PlaceRow]]] = {}
     for row in rows:
@@ -229,18 +229,18 @@ def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
 
 
 def _unexplained(row: JointResidualRow) -> float:
-    """Root mean square of the residual torque beyond noise, as a share of the friction."""
+    """Return the root mean square residual torque beyond noise, as a share of the friction."""
     return float(np.sqrt(max(row["residual"] ** 2 - row["noise"] ** 2, 0.0))) / row["friction"]
 
 
 def _is_explained(residual: ResidualRow | None) -> bool:
-    """Whether the residual torque of every joint is noise."""
+    """Return whether the residual torque of every joint is noise."""
     rows = residual["by_joint"] if residual else []
     return bool(rows) and all(_unexplained(row) < UNEXPLAINED and not row["places"] for row in rows)
 
 
 def _doubt_torque(torque: TorqueRow) -> Iterator[FindingRow]:
-    """Recorded torque that the drive does not need, by joints."""
+    """Yield a finding if recorded torque contradicts the result in any joint on test data."""
     if torque["compared"] != "torque":
         return
     shares = {row["joint"]: _share(row["test"]) for row in torque["by_joint"]}
@@ -263,7 +263,7 @@ def _share(errors: TorqueErrorsRow) -> float:
 
 
 def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], unit: str, joints: int) -> str:
-    """What goes with a place, of the joint in which it is most."""
+    """Describe a residual factor, with its size in the joint in which it is largest."""
     row, most = max(found, key=lambda pair: pair[1]["torque"] / pair[0]["friction"])
     of = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
     ripple = "" if most["periods"] is None else f" ({_say_periods(most['periods'], unit)})"
@@ -276,12 +276,12 @@ def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], u
 
 
 def _say_periods(periods: float, unit: str) -> str:
-    """Those of a ripple, of a hinge or a slide by the unit of its torque."""
+    """Format the periods of a ripple; the torque's unit tells hinge from slide."""
     return f"{periods:.4g} periods per turn" if unit == "N m" else f"period {2 * np.pi / periods:.3g} m"
 
 
 def _say_law(place: PlaceRow) -> str:
-    """What has such a term: a parameter of the bench, or a law."""
+    """Return the remedy for a residual factor: a parameter of the bench, a check, or a model."""
     value = place["value"]
     if place["place"] == "constant":
         return f"identify bench.params.torque_offset (about {value:.2g})"
@@ -311,11 +311,14 @@ def _say_law(place: PlaceRow) -> str:
 
 
 def explain_failure(result: Result) -> list[str] | None:
-    """Why a fit did not identify the drive, and the likely reasons, the likeliest first; None where it may have.
+    """Explain why a fit did not identify the drive; None if it may have.
 
-    It did not if several parameters ended at a bound and the test error is still more than a third of that without
-    friction: then the law makes up for something else with values that no drive has. What ended at the lower bound of a
-    friction's size is simply not there: a drive without dry friction is a drive.
+    A fit fails if at least two parameters end at a bound and the test error exceeds a third of the error without
+    friction: the model then compensates another error with unrealistic values. A friction term whose size ends at its
+    lower bound does not count: a drive may lack dry friction.
+
+    Returns:
+        The symptom, then likely reasons, the likeliest first.
     """
     ended = [name_where(p, at_bound=True) for p in result["parameters"] if p["at_bound"] and not _is_absent(p)]
     error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
@@ -337,12 +340,12 @@ def explain_failure(result: Result) -> list[str] | None:
 
 
 def _is_absent(parameter: ParameterRow) -> bool:
-    """Whether it is the size of a part of the friction, a torque or a damping, and the fit found that there is none."""
+    """Return whether the parameter is the size of a friction term (torque or damping) that the fit did not find."""
     return _is_size(parameter) and not _ended_high(parameter)
 
 
 def _is_cut_off(parameter: ParameterRow) -> bool:
-    """Whether a bound cuts off a size or an offset, for which other parameters then make up."""
+    """Return whether a bound cuts off a size or an offset, which other parameters then compensate."""
     ended = [row for row in parameter["by_joint"] if row["at_bound"]]
     offset = parameter["name"].endswith("_offset")
     return bool(ended) and (
@@ -355,13 +358,13 @@ def _is_size(parameter: ParameterRow) -> bool:
 
 
 def _ended_high(parameter: ParameterRow) -> bool:
-    """Whether it ended at its upper bound in any joint."""
+    """Return whether the parameter ended at its upper bound in any joint."""
     ended = [row for row in parameter["by_joint"] if row["at_bound"]]
     return any(row["value"] - row["low"] >= row["high"] - row["value"] for row in ended)
 
 
 def doubt_gain(result: Result) -> str | None:
-    """That a law explains next to nothing of what a drive without friction leaves; None where it explains more."""
+    """Report that a model explains almost none of the error without friction; None if it explains more."""
     error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if result["model"] == "baseline" or error is None or not without or error <= NOTHING * without:
         return None
@@ -372,7 +375,7 @@ def doubt_gain(result: Result) -> str | None:
 
 
 def doubt_joints(result: Result) -> str | None:
-    """Which joints of several the law does not improve on test data; None where it improves all of them."""
+    """Report joints that the model does not improve on test data; None if it improves all, or for a single joint."""
     joints = result["by_joint"]
     if result["model"] == "baseline" or len(joints) == 1:
         return None
@@ -392,14 +395,14 @@ def doubt_joints(result: Result) -> str | None:
 def list_moving(
     history: Mapping[str, Float[np.ndarray, "iterations"]], intervals: Mapping[str, Float[np.ndarray, "2"]]
 ) -> list[str]:
-    """Names of the parameters that still moved when the fit ended.
+    """List the parameters that still moved when the fit ended.
 
-    The means over the two halves of the last tenth of the iterations differ by more than a third of the half width of
-    the parameter's 95 % interval, or by 1 % of its value where it has none.
+    A parameter moves if its means over the two halves of the last tenth of the iterations differ by more than a third
+    of half its 95 % interval, or by more than 1 % of its value if it has no interval.
 
     Args:
-        history: Its values by the parameter's label, `bench.armature`, of several joints `bench.armature/knee`.
-        intervals: By label.
+        history: Values by label, `bench.armature`, or `bench.armature/knee` with several joints.
+        intervals: Intervals by label.
     """
     moving = []
     for name, values in history.items():
@@ -414,14 +417,14 @@ def list_moving(
 
 
 def still_falling(loss: Float[np.ndarray, "iterations"]) -> float:
-    """Share of the lowest loss before them that the last tenth of the iterations took off."""
+    """Return the relative decrease of the lowest loss in the last tenth of the iterations."""
     finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
     before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
     return max(0.0, 1 - float(finite.min() / before)) if np.isfinite(before) and before > 0 else 0.0
 
 
 def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:
-    """That the drive without friction, by which others are judged, is none by its parameters; None where it may be."""
+    """Report that the drive without friction, the baseline, ended at bounds; None if it did not."""
     ended = [
         f"{name_where(p, at_bound=True)} at its bound of {say_bounds(p)} {p['unit']}"
         for p in parameters

@@ -1,4 +1,4 @@
-"""The law that exists only in torch keeps frictionzoo's contract and is the one that its docstring has."""
+"""Tests of the torch-only model: frictionzoo's contract, and the formula of its docstring."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""The law keeps frictionzoo's contract and is the one of its source."""
+"""Tests of the Makkar model: frictionzoo's contract, and values of its source."""
 
 import functools
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ def test_known_values():
     values = {"stribeck_torque": 0.25, "stribeck_rise": 100.0, "stribeck_decay": 10.0}
     values |= {"coulomb_torque": 0.5, "coulomb_rise": 200.0, "viscous_coefficient": 0.01}
     # tanh(1) = 0.76159415595576489, tanh(0.1) = 0.099667994624955817, tanh(2) = 0.96402758007581688;
-    # at 3 rad/s every tanh is 1 to the last digit, and only Coulomb and viscous friction are left.
+    # at 3 rad/s every tanh is 1 to the last digit: only Coulomb and viscous friction remain.
     slow = 0.25 * (0.76159415595576489 - 0.099667994624955817) + 0.5 * 0.96402758007581688 + 1e-4
     assert torque(values, [0.0, 0.01, -0.01, 3.0]).tolist() == pytest.approx([0.0, slow, -slow, 0.53], abs=1e-12)
 
@@ -52,7 +52,7 @@ def test_friction_falls_after_the_onset_of_motion():
     values = {name: param.init for name, param in make().params.items()} | {"viscous_coefficient": 0.0}
     slow, fast = torque(values, [0.03, 1.0])
     assert slow > 1.3 * fast
-    assert fast == pytest.approx(values["coulomb_torque"], rel=1e-6)  # tanh(10) is 1 but for 4e-9
+    assert fast == pytest.approx(values["coulomb_torque"], rel=1e-6)  # tanh(10) is 1 within 4e-9
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -65,7 +65,7 @@ def test_friction_opposes_motion_anywhere_in_bounds(seed):
 
 
 def test_torques_tell_the_parameters():
-    """Those that are identified by default are found again from where a fit begins; there is no noise to spoil them."""
+    """Recover the parameters identified by default from their initial values, without noise."""
     params = make().params
     start = {name: param.init for name, param in params.items() if param.identify}
     known = {name: param.init for name, param in params.items() if not param.identify}

@@ -1,4 +1,4 @@
-"""Actuator laws, one a file; the files are looked through, not listed."""
+"""Actuator laws, one per file; the registry discovers them."""
 
 from frictionzoo.bench.actuators.base import REGISTRY, Actuator, Affine, register_actuator
 
@@ -6,5 +6,5 @@ __all__ = ["Actuator", "Affine", "register_actuator"]
 
 
 def __getattr__(name: str) -> type[Actuator]:
-    """A law by the name of its class, as `_target_` has it; its own module has its type."""
+    """Return an actuator law by its class name, as written in `_target_`."""
     return REGISTRY.find_class(name)

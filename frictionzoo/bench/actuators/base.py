@@ -1,9 +1,9 @@
-"""The interface of an actuator law: how a recorded command becomes torque.
+"""Interface of actuator laws, which convert a recorded command into torque.
 
-MuJoCo's affine actuator gives `gain * ctrl + bias0 + bias1 * qpos + bias2 * qvel`. A law here is these four
-coefficients as functions of its parameters and of the bench's `torque_offset`, a part of bias0, so that the fitted
-simulation and the exported MJCF hold the same actuator, and, where that is not enough, what its controller makes of the
-command before the actuator gets it.
+MuJoCo's affine actuator gives `gain * ctrl + bias0 + bias1 * qpos + bias2 * qvel`. An actuator law returns these four
+coefficients for its parameters; bias0 includes the bench's `torque_offset`. The fitted simulation and the exported MJCF
+therefore contain the same actuator. A law with a controller also transforms the command before MuJoCo's actuator
+receives it.
 """
 
 from abc import ABC, abstractmethod
@@ -36,29 +36,30 @@ class Affine(NamedTuple):
 
 
 class Actuator(Described, ABC):
-    """An actuator law.
+    """Base class of actuator laws.
 
     Attributes:
         name: Set by `register_actuator`.
         dimensions: Dimension of each parameter, a key of `frictionzoo.core.params.UNITS`.
-        optional: Parameters that need not be given, and that are left out then: what they stand for is not there.
-        ends: Those among `optional` that are there where they are 0.
-        positive: Parameters that begin above 0 in each joint where they are there, and what else to do.
-        defaults: Section of each parameter that is known where nothing is said of it.
-        inputs: What the controller needs in each sample besides `ctrl`; recordings have it among their `extras`.
-        optional_inputs: What those among them are that a recording may lack.
-        commands: Those among them that are commands as `ctrl` is: they act as late.
-        params: Each parameter's value or initial value, bounds and scale.
-        said: Names of those of which something was given, though it be that they are not there.
+        optional: Parameters that may be omitted or known to be 0; the law then omits their effect.
+        ends: Parameters among `optional` that keep their effect at 0.
+        positive: Parameters whose initial value must be above 0 in each joint, with advice for the error message.
+        defaults: Default section of parameters.
+        inputs: Signals that the controller needs in each sample in addition to `ctrl`; recordings have them in
+            `extras`.
+        optional_inputs: Default values of the inputs that a recording may lack.
+        commands: Inputs that are commands; the delay of `ctrl` applies to them too.
+        params: Value or initial value, bounds and scale of each parameter.
+        said: Names of the parameters in the arguments, including those dropped because they are 0.
 
     Args:
         params: Section of each parameter: `init`, `low`, `high`, `scale`, `identify`.
-        values: Parameters that are known, by name, in place of their sections: `PositionPD(kp=15, kd=0.5)`, or with a
-            list of one value a joint.
+        values: Known parameters by name, instead of their sections: `PositionPD(kp=15, kd=0.5)`; a list has one value
+            per joint.
 
     Raises:
-        ConfigError: A parameter is missing, unknown, given twice, 0 or below where it may not be, or its bounds make no
-            sense.
+        ConfigError: A parameter is missing, unknown, given twice or not positive as required, or its bounds are
+            invalid.
     """
 
     name: ClassVar[str]
@@ -88,53 +89,54 @@ class Actuator(Described, ABC):
 
     @property
     def has_controller(self) -> bool:
-        """Whether MuJoCo's actuator gets something else than the command."""
+        """Whether a controller transforms the command before MuJoCo's actuator receives it."""
         return type(self).control is not Actuator.control
 
     @property
     def needs_state(self) -> bool:
-        """Whether a program has to compute in each step, from the state, what MuJoCo's actuator gets.
+        """Whether a program must compute the `ctrl` of MuJoCo's actuator from the state in each step.
 
-        Where it does not, `combine` gives what the actuator gets, and `force_range` what limits its torque.
+        Otherwise `combine` returns this `ctrl` and `force_range` the limits of the torque.
         """
         return self.has_controller
 
     @abstractmethod
     def affine(self, values: Mapping[str, Any]) -> Affine:
-        """MuJoCo's coefficients for these parameter values, each of shape (nv,).
+        """Return MuJoCo's coefficients for these parameter values, each of shape (nv,).
 
         Args:
-            values: Value of each parameter, and the bench's `torque_offset` [N m or N] where it has one; bias0 has it.
+            values: Value of each parameter, and the bench's `torque_offset` [N m or N] if it has one; bias0 includes
+                it.
         """
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
     ) -> Any:
-        """What the drive's controller hands to MuJoCo's actuator as `ctrl` in one simulation step, of shape (..., nv).
+        """Return the `ctrl` that the controller passes to MuJoCo's actuator in one simulation step, of shape (..., nv).
 
         Args:
             xp: Array namespace, `numpy`, `jax.numpy` or `torch`.
             values: Value of each parameter.
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            command: As recorded, `ctrl`.
-            inputs: Each of `inputs`.
+            command: Recorded `ctrl`.
+            inputs: Signals by the names in `inputs`.
         """
         return command
 
     def combine(self, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
-        """Return the one command of a MuJoCo actuator that asks for the same torque as all recorded ones together.
+        """Return the single command of a MuJoCo actuator that is equivalent to all recorded commands.
 
-        Arguments are those of `control`. It is of no use where the law `needs_state`.
+        The arguments are those of `control`. Not applicable to a law that `needs_state`.
         """
         return command
 
     def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
-        """Return the range of torque [N m or N] of a MuJoCo actuator that gets `combine`; None without a limit."""
+        """Return the torque range [N m or N] of a MuJoCo actuator with the command `combine`; None without a limit."""
         return None
 
 
 REGISTRY = Registry(KINDS["actuators"], Actuator, "affine")
 
 register_actuator = REGISTRY.register
-"""Class decorator that makes an actuator law known by its name, as `Registry.register`."""
+"""Class decorator that registers an actuator law by name; see `Registry.register`."""

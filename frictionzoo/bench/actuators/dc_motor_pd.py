@@ -1,4 +1,4 @@
-"""An embedded position controller of a DC motor."""
+"""Embedded position controller of a DC motor."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -8,15 +8,15 @@ from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 
 @register_actuator("dc_motor_pd")
 class DcMotorPD(Actuator):
-    """Position controller of a DC motor whose torque is limited, the more the faster it turns.
+    """Position controller of a DC motor whose torque limit falls with its speed.
 
         torque = clip(kp (ctrl - qpos) - kd qvel, -limit(-qvel), limit(qvel))
         limit(qvel) = clip(stall_torque (1 - qvel / no_load_velocity), 0, torque_limit)
 
-    with kp [N m/rad], kd [N m s/rad], stall_torque and torque_limit [N m] and no_load_velocity [rad/s]. MuJoCo's
-    actuator gets the torque.
+    with kp [N m/rad], kd [N m s/rad], stall_torque and torque_limit [N m] and no_load_velocity [rad/s]. The command of
+    MuJoCo's actuator is this torque.
 
-    Source: Isaac Lab, documentation of the actuator model `DCMotor`, where stall_torque is called saturation effort.
+    Source: Isaac Lab, documentation of the actuator model `DCMotor`, which calls stall_torque saturation effort.
     """
 
     dimensions: ClassVar[Mapping[str, str]] = {
@@ -41,6 +41,6 @@ class DcMotorPD(Actuator):
 
 
 def _limit(xp: Any, values: Mapping[str, Any], qvel: Any) -> Any:
-    """Largest torque in the direction of positive velocity [N m]."""
+    """Return the largest torque in the direction of positive velocity [N m]."""
     falling = values["stall_torque"] * (1 - qvel / values["no_load_velocity"])
     return xp.minimum(xp.maximum(falling, 0 * falling), values["torque_limit"])

@@ -1,4 +1,4 @@
-"""A drive whose command is its force, but for a factor, a constant and a limit."""
+"""Drive whose command is proportional to its force, with an offset and limits."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -12,10 +12,10 @@ from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIVE, beyon
 
 @register_actuator("force")
 class Force(Actuator):
-    """Force drive: force = sat(force_gain ctrl + force_offset), ctrl in the unit that was recorded (volts, newtons).
+    """Force drive: force = sat(force_gain ctrl + force_offset), with ctrl in its recorded unit (volts, newtons).
 
-    Where nothing is said, the command is the force or torque itself. A motor's current times its torque constant is a
-    known `force_gain`. sat is there where `torque_limit` or `torque_saturation` say so, as in `JointPD`.
+    By default the command is the force or torque itself. For a recorded motor current, `force_gain` is the known torque
+    constant. sat applies if the law has `torque_limit`, `torque_low` or `torque_saturation`, as in `JointPD`.
     """
 
     dimensions: ClassVar[Mapping[str, str]] = {"force_gain": "torque/command", "force_offset": "torque", **LIMITS}
@@ -29,7 +29,7 @@ class Force(Actuator):
 
     @property
     def has_controller(self) -> bool:
-        """See `Actuator.has_controller`: a limit is one."""
+        """See `Actuator.has_controller`; a limit counts as a controller."""
         return not LIMITS.keys().isdisjoint(self.params)
 
     @property

@@ -1,4 +1,4 @@
-"""The impedance controller of robots' joints."""
+"""Impedance controller of a robot's joint."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -19,28 +19,29 @@ from frictionzoo.bench.actuators.saturation import (
 )
 
 GAIN: Mapping[str, Any] = {"init": 1.0, "low": 0.5, "high": 2.0, "scale": "log", "identify": False}
-"""Section of a `torque_gain` of which nothing is said: the torque is what the controller asks for."""
+"""Default section of `torque_gain`: the joint gives the torque that the controller requests."""
 
 
 @register_actuator("joint_pd")
 class JointPD(Actuator):
-    """Impedance controller of a robot's joint: position, velocity and torque are commanded at once.
+    """Impedance controller of a robot's joint with commands of position, velocity and torque.
 
         torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
 
     with kp [N m/rad or N/m], kd [N m s/rad or N s/m], the desired position ctrl [rad or m], the desired velocity
-    ctrl_velocity [rad/s or m/s] and the feed-forward torque ctrl_torque [N m or N], both 0 where recordings lack them.
-    torque_gain [1] is what the joint gives of the torque that the controller asks for. sat is there where parameters
-    say so: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off, below
-    at torque_low [N m or N] instead of -torque_limit if there is one. ctrl ends at ctrl_low and ctrl_high [rad or m]
-    if parameters say so. `bench=robot` has these ends from the file.
+    ctrl_velocity [rad/s or m/s] and the feed-forward torque ctrl_torque [N m or N]. Recordings without ctrl_velocity or
+    ctrl_torque use 0. torque_gain [1] is the ratio of the joint's torque to the requested torque.
 
-    MuJoCo's actuator is its position actuator with these gains; its `ctrl` is ctrl + (kd ctrl_velocity + ctrl_torque) /
-    kp, and with a limit what makes it give the torque within. The integrator implicitfast treats kd as implicit at the
-    limit as well.
+    sat depends on the optional parameters. torque_saturation [N m or N] is kappa in kappa tanh(torque / kappa).
+    torque_limit [N m or N] clips the torque to [-torque_limit, torque_limit]; torque_low [N m or N] replaces the lower
+    limit. ctrl_low and ctrl_high [rad or m] clip ctrl. `bench=robot` reads these limits from the file.
 
-    Source: B. Katz, "A low cost modular actuator for dynamic robots", MIT, 2018, the controller of the MIT Mini
-    Cheetah's motors, which Unitree's and others' motors have too; the hyperbolic tangent: arXiv 2505.14266, 2025.
+    MuJoCo's actuator is a position actuator with these gains. Its `ctrl` is ctrl + (kd ctrl_velocity + ctrl_torque) /
+    kp; a limit changes `ctrl` such that the actuator gives the limited torque. The integrator implicitfast treats kd as
+    implicit at the limit as well.
+
+    Source: B. Katz, "A low cost modular actuator for dynamic robots", MIT, 2018, the controller of the motors of the
+    MIT Mini Cheetah, also used by Unitree and others; hyperbolic tangent: arXiv 2505.14266, 2025.
     """
 
     dimensions: ClassVar[Mapping[str, str]] = {
@@ -90,6 +91,6 @@ class JointPD(Actuator):
 
 
 def aim_at(xp: Any, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
-    """The one desired position that asks for the same torque as all commands together."""
+    """Return the desired position that is equivalent to all commands together."""
     command = within_range(xp, values, command)
     return command + (values["kd"] * inputs["ctrl_velocity"] + inputs["ctrl_torque"]) / values["kp"]

@@ -1,4 +1,4 @@
-"""An embedded position controller without a limit."""
+"""Embedded position controller without a torque limit."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -8,7 +8,7 @@ from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 
 @register_actuator("position_pd")
 class PositionPD(Actuator):
-    """Embedded position controller: torque = kp (ctrl - qpos) - kd qvel, ctrl the desired position."""
+    """Embedded position controller: torque = kp (ctrl - qpos) - kd qvel, with the desired position ctrl."""
 
     dimensions: ClassVar[Mapping[str, str]] = {"kp": "stiffness", "kd": "damping"}
 

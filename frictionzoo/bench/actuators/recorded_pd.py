@@ -1,4 +1,4 @@
-"""The impedance controller of robots' joints, its gains recorded."""
+"""Impedance controller of a robot's joint with recorded gains."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -10,14 +10,14 @@ from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIONS, POSI
 
 @register_actuator("recorded_pd")
 class RecordedPD(Actuator):
-    """Impedance controller of a robot's joint whose gains are commands, and recorded as such.
+    """Impedance controller of a robot's joint whose gains are recorded commands.
 
         torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
 
-    with recorded kp [N m/rad or N/m] and kd [N m s/rad or N s/m], and all else as in `JointPD`. MuJoCo's actuator gets
-    the torque.
+    with recorded kp [N m/rad or N/m] and kd [N m s/rad or N s/m]; the other symbols are those of `JointPD`. The command
+    of MuJoCo's actuator is sat(...), and its gain is torque_gain.
 
-    Source: as of `JointPD`.
+    Source: See `JointPD`.
     """
 
     dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS, **POSITIONS}

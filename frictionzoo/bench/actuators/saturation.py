@@ -1,4 +1,4 @@
-"""What a drive's command and torque do not exceed, for actuator laws that may have limits."""
+"""Optional limits of a drive's command and torque, shared by actuator laws."""
 
 from collections.abc import Container, Mapping
 from typing import Any
@@ -7,35 +7,35 @@ import numpy as np
 from jaxtyping import Float
 
 LIMITS: Mapping[str, str] = {"torque_limit": "torque", "torque_saturation": "torque", "torque_low": "torque"}
-"""Dimension of each parameter of a limit; a law that may have one has them among its `optional`."""
+"""Dimension of each torque-limit parameter; laws list them in `optional`."""
 
 POSITIVE: Mapping[str, str] = dict.fromkeys(
     ("torque_limit", "torque_saturation"),
     "leave it out where there is none, give a joint without one more than it ever needs",
 )
-"""Of each parameter of a limit, what to do where it is 0: the drive would have no torque."""
+"""Advice for a limit that is 0 in some joint, which would have no torque."""
 
 POSITIONS: Mapping[str, str] = {"ctrl_low": "position", "ctrl_high": "position"}
-"""Dimension of the ends of the range of desired positions, among the `optional` of a law that has such."""
+"""Dimension of the limits of desired positions; laws with desired positions list them in `optional`."""
 
 ENDS = ("torque_low", *POSITIONS)
-"""Those that are there where they are 0."""
+"""Limits that remain in effect at 0."""
 
 
 def saturate(xp: Any, values: Mapping[str, Any], torque: Any) -> Any:
-    """A torque within the limits that there are; the very one where there are none.
+    """Return a torque within the limits; without limits, the same object.
 
         kappa tanh(torque / kappa), kappa = torque_saturation;  then clip(., torque_low, torque_limit)
 
-    The hyperbolic tangent bends from the start, as a motor whose iron saturates does; the other cuts off.
+    The hyperbolic tangent represents a motor with magnetic saturation, whose torque falls below the request gradually.
 
-    Source: arXiv 2505.14266, 2025, the smooth one.
+    Source: arXiv 2505.14266, 2025, for the hyperbolic tangent.
 
     Args:
         xp: Array namespace.
-        values: Of the actuator law's parameters, `torque_limit`, `torque_low` and `torque_saturation` [N m or N] where
-            it has them; without `torque_low` the lower end is -`torque_limit`.
-        torque: What the drive is to give [N m or N].
+        values: Parameters of the actuator law; `torque_limit`, `torque_low` and `torque_saturation` [N m or N] are
+            optional. Without `torque_low` the lower limit is -`torque_limit`.
+        torque: Requested torque [N m or N].
     """
     if "torque_saturation" in values:
         torque = values["torque_saturation"] * xp.tanh(torque / values["torque_saturation"])
@@ -47,16 +47,16 @@ def saturate(xp: Any, values: Mapping[str, Any], torque: Any) -> Any:
 
 
 def beyond_mujoco(params: Container[str]) -> bool:
-    """Return whether a MuJoCo actuator cannot hold the limits: it has two ends, and no hyperbolic tangent."""
+    """Return whether a MuJoCo actuator cannot represent the limits: one limit alone, or a hyperbolic tangent."""
     return "torque_saturation" in params or ("torque_low" in params and "torque_limit" not in params)
 
 
 def force_range(values: Mapping[str, Any], gain: Any = 1.0) -> Float[np.ndarray, "nv 2"] | None:
-    """Return the ends of an actuator's torque [N m or N] where MuJoCo can hold them; None where there are none.
+    """Return the range of an actuator's torque [N m or N] for MuJoCo; None without `torque_limit`.
 
     Args:
-        values: As in `saturate`, and the bench's `torque_offset` [N m or N] where it has one.
-        gain: By which a torque within the limits is multiplied, of shape (nv,).
+        values: As in `saturate`, with the bench's `torque_offset` [N m or N] if it has one.
+        gain: Factor of the limited torque, of shape (nv,).
     """
     if "torque_limit" not in values:
         return None
@@ -66,7 +66,7 @@ def force_range(values: Mapping[str, Any], gain: Any = 1.0) -> Float[np.ndarray,
 
 
 def within_range(xp: Any, values: Mapping[str, Any], command: Any) -> Any:
-    """A desired position [rad or m] within `ctrl_low` and `ctrl_high` where there are such; else the very one."""
+    """Return a desired position [rad or m] within `ctrl_low` and `ctrl_high`; without limits, the same object."""
     if "ctrl_low" in values:
         command = xp.maximum(command, values["ctrl_low"])
     return xp.minimum(command, values["ctrl_high"]) if "ctrl_high" in values else command

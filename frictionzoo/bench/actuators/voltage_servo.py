@@ -1,4 +1,4 @@
-"""A hobby servo: a position controller that sets a voltage."""
+"""Hobby servo with a position controller that sets a voltage."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -8,15 +8,15 @@ from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 
 @register_actuator("voltage_servo")
 class VoltageServo(Actuator):
-    """Voltage servo: a proportional position controller sets the duty cycle of a DC motor.
+    """Voltage servo, whose proportional position controller sets the duty cycle of a DC motor.
 
         duty = clip(gain duty_gain (ctrl - qpos), -duty_limit, duty_limit)
         torque = kt_over_r duty supply - kt2_over_r qvel, and 0 while the motor is not enabled
 
-    with the firmware's proportional gain `gain` [1], the duty cycle per radian of error at a gain of one `duty_gain`
-    [1/rad], and the measured `supply` [V]. Of the torque constant kt and the resistance R, positions and velocities
-    tell only the combinations kt_over_r [N m/V] and kt2_over_r [N m s/rad], which is back-EMF. MuJoCo's actuator gets
-    the voltage.
+    with the firmware's proportional gain `gain` [1], the duty cycle `duty_gain` [1/rad] per radian of error at a gain
+    of one, and the measured `supply` [V]. The torque constant kt and the resistance R are not identifiable separately
+    from positions and velocities, only kt_over_r [N m/V] and the back-EMF damping kt2_over_r [N m s/rad]. The command
+    of MuJoCo's actuator is the voltage.
 
     Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
     actuators", 2024, section II.
@@ -41,6 +41,6 @@ class VoltageServo(Actuator):
         """See `Actuator.control`."""
         duty = inputs["gain"] * values["duty_gain"] * (command - qpos)
         duty = xp.minimum(xp.maximum(duty, -values["duty_limit"]), values["duty_limit"])
-        # A motor that is not enabled has open terminals: at the voltage that it generates itself, no current flows.
+        # A disabled motor has open terminals. A voltage equal to its back-EMF gives zero current.
         generated = values["kt2_over_r"] / values["kt_over_r"] * qvel
         return inputs["enable"] * duty * inputs["supply"] + (1 - inputs["enable"]) * generated

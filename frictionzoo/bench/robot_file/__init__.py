@@ -1,4 +1,4 @@
-"""A robot's own model file as a bench: MJCF or URDF as its maker publishes it."""
+"""Conversion of a robot's model file, MJCF or URDF, for a bench."""
 
 from frictionzoo.bench.robot_file.actuator import ReadActuator
 from frictionzoo.bench.robot_file.links import Link

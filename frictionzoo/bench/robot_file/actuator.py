@@ -1,4 +1,4 @@
-"""An actuator of a robot's file, as its joint feels it."""
+"""Actuator of a robot's file in joint space."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,12 +7,12 @@ import numpy as np
 
 
 class Command(NamedTuple):
-    """A command of the file's actuators, as a recording has it: signal = factor * command.
+    """Relation of a recorded signal to a command of the file's actuators: signal = factor * command.
 
     Attributes:
-        index: Among `MjData.ctrl` of the file.
+        index: Index in `MjData.ctrl` of the file.
         signal: `ctrl`, `ctrl_velocity` or `ctrl_torque`.
-        factor: In joint space; the gear is in it.
+        factor: Factor in joint space, including the gear.
     """
 
     index: int
@@ -22,21 +22,21 @@ class Command(NamedTuple):
 
 @dataclass(frozen=True)
 class ReadActuator:
-    """An actuator as the file has it, in joint space: torque = gain ctrl + bias0 + bias1 qpos + bias2 qvel.
+    """Actuator of the file in joint space: torque = gain ctrl + bias0 + bias1 qpos + bias2 qvel.
 
     Attributes:
-        name: In the file, or its number; of several that are one controller all of them.
-        kind: `motor`, `position` with or without velocity and torque commands, `velocity` by what its law comes down
-            to, or `general`.
-        gain: Factor of the first command; the gear is in it.
+        name: Name in the file, or its number; all names if several actuators form one controller.
+        kind: `motor`, `position` (with or without velocity and torque commands), `velocity` or `general`, determined by
+            its coefficients.
+        gain: Factor of the first command, including the gear.
         bias0: Constant torque [N m or N].
         bias1: Factor of the position.
         bias2: Factor of the velocity.
-        gear: As in the file.
-        ctrlrange: Ends of the first command's range, in the command's unit; NaN where it has none.
-        forcerange: Ends of the torque's range at the joint [N m or N]; NaN where it has none.
-        delay: By which commands act late in MuJoCo's steps [s].
-        commands: What recordings call its commands; the first is `ctrl`.
+        gear: Gear in the file.
+        ctrlrange: Range of the first command, in the command's unit; NaN without a range.
+        forcerange: Torque range at the joint [N m or N]; NaN without a range.
+        delay: Delay of the commands in MuJoCo's steps [s].
+        commands: Recorded signal of each command; the first is `ctrl`.
     """
 
     name: str
@@ -53,7 +53,7 @@ class ReadActuator:
 
     @property
     def torques(self) -> tuple[float, float]:
-        """Ends of the range of what it gives [N m or N], of a motor by its command's range too."""
+        """Torque range [N m or N]; a motor's command range limits it too."""
         low, high = self.forcerange
         if self.kind != "motor":
             return low, high
@@ -62,7 +62,7 @@ class ReadActuator:
 
     @property
     def positions(self) -> tuple[float, float]:
-        """Ends of the range of desired positions [rad or m]; NaN where there is none or none is desired."""
+        """Range of desired positions [rad or m]; NaN without a range or a position command."""
         if self.kind != "position":
             return np.nan, np.nan
         low, high = np.sort(np.array(self.ctrlrange) / self.gear)
@@ -70,7 +70,7 @@ class ReadActuator:
 
 
 def clip_range(inner: tuple[float, float], outer: tuple[float, float]) -> tuple[float, float]:
-    """Ends of what is cut off at `inner` and then at `outer`; NaN is no end."""
+    """Return the range of a value clipped to `inner` and then to `outer`; NaN is no limit."""
     if np.isnan(inner).any() or np.isnan(outer).any():
         return outer if np.isnan(inner).any() else inner
     low, high = np.clip(inner, *outer)

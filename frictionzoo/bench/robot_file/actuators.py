@@ -1,4 +1,4 @@
-"""What a robot's file says of the actuator of each joint."""
+"""Actuator, armature, damping and bristle friction of each joint in a robot's file."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -23,7 +23,7 @@ from frictionzoo.bench.robot_file.source import Source, listed
 _AT_JOINT = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 _FILTERS = {int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)}
 _ROUNDING = 1e-9  # of a step
-_ACTING = {  # how else than at a joint, in words
+_ACTING = {  # transmissions other than a joint, for notes
     int(mujoco.mjtTrn.mjTRN_SLIDERCRANK): "a slider-crank",
     int(mujoco.mjtTrn.mjTRN_TENDON): "a tendon",
     int(mujoco.mjtTrn.mjTRN_SITE): "a site",
@@ -32,7 +32,7 @@ _ACTING = {  # how else than at a joint, in words
 
 
 def read_actuators(source: Source, joints: Sequence[int]) -> tuple[ReadActuator | None, ...]:
-    """The actuator of each of these joints, None where it has none that can be read; what cannot is noted."""
+    """Return the actuator of each joint, None without a supported one; unsupported actuators are noted."""
     source.notes += _say_others(source, joints)
     read = without_others(source, joints, [_read_joint(source, joint) for joint in joints])
     source.notes += _say_commands(source, joints, read)
@@ -40,7 +40,7 @@ def read_actuators(source: Source, joints: Sequence[int]) -> tuple[ReadActuator 
 
 
 def read_friction(source: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Bristles of each joint, by the names of parameters of `lugre`; NaN where the file has none."""
+    """Return the bristle friction of each joint, by the parameter names of `lugre`; NaN if the file has none."""
     model, motors = source.model, dict[int, list[int]]()
     for joint in joints:
         found = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
@@ -49,7 +49,7 @@ def read_friction(source: Source, joints: Sequence[int]) -> dict[str, Float[np.n
 
 
 def _list_at(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Indices of the actuators that act at a joint."""
+    """Return the indices of the actuators that act at a joint."""
     at_joint = np.isin(model.actuator_trntype, list(_AT_JOINT)) & (model.actuator_trnid[:, 0] == joint)
     return [int(index) for index in np.flatnonzero(at_joint)]
 
@@ -60,13 +60,13 @@ def _is_disabled(model: mujoco.MjModel, index: int) -> bool:
 
 
 def read_armature(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv"]:
-    """Armature of each joint with that of its actuator [kg m^2 or kg]."""
+    """Return the armature of each joint, including its actuators' armature [kg m^2 or kg]."""
     model = source.model
     return np.array([model.dof_armature[source.dof(j)] + _reflected(model, j, model.actuator_armature) for j in joints])
 
 
 def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv"]:
-    """Damping of each joint with that of its actuator [N m s/rad or N s/m]; what is no straight line is noted."""
+    """Return the damping of each joint, including its actuators' [N m s/rad or N s/m]; nonlinear damping is noted."""
     model = source.model
     bent = [j for j in joints if model.dof_dampingpoly[source.dof(j)].any()]
     bent += [j for j in joints if model.actuator_dampingpoly[_list_at(model, j)].any()]
@@ -78,13 +78,13 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
 
 
 def _list_windings(model: mujoco.MjModel, joint: int) -> list[int]:
-    """DC motors of a joint whose back-EMF is nothing but a damping."""
+    """Return the DC motors of a joint whose back-EMF acts as damping."""
     motors = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
     return [index for index in motors if _why_not(model, index) is None]
 
 
 def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> float:
-    """Armature or damping of a joint's actuators, as the joint feels it through their gears."""
+    """Return the armature or damping of a joint's actuators, reflected through their gears."""
     return float(sum(model.actuator_gear[index, 0] ** 2 * ofactuators[index] for index in _list_at(model, joint)))
 
 
@@ -111,7 +111,7 @@ def _read_joint(source: Source, joint: int) -> ReadActuator | None:
             source.notes.append(f"actuator {name} of joint {model.joint(joint).name} is left out: {reason}")
             continue
         if not has_input(model, index):
-            continue  # of a DC motor, whose bristles and back-EMF are friction of the joint
+            continue  # a DC motor without a command; its bristles and back-EMF count as the joint's friction
         if is_dc_motor(model, index):
             source.notes.append(
                 f"actuator {name} is a DC motor: its command is a voltage, and its back-EMF is taken as damping of the "
@@ -127,7 +127,7 @@ def _read_joint(source: Source, joint: int) -> ReadActuator | None:
 
 
 def _why_not(model: mujoco.MjModel, index: int) -> str | None:
-    """Why an actuator is no affine law of command, position and velocity."""
+    """Return the reason why an actuator is not affine in command, position and velocity, or None if it is."""
     dynamics = int(model.actuator_dyntype[index])
     if model.actuator_plugin[index] >= 0:
         return "it is a plugin"
@@ -186,7 +186,7 @@ def _kind(gain: float, bias0: float, bias1: float, bias2: float) -> str:
 
 
 def _commands(model: mujoco.MjModel, index: int, kind: str) -> Iterator[Command]:
-    """What recordings call an actuator's commands."""
+    """Yield the recorded signal of each command of an actuator."""
     first, gear = int(model.actuator_ctrladr[index]), float(model.actuator_gear[index, 0])
     yield Command(first, "ctrl", 1 / gear if kind == "position" and gear else 1.0)
     if model.actuator_gaintype[index] != mujoco.mjtGain.mjGAIN_PID:
@@ -199,7 +199,7 @@ def _commands(model: mujoco.MjModel, index: int, kind: str) -> Iterator[Command]
 
 
 def _say_ranges(model: mujoco.MjModel, index: int, commands: Sequence[Command]) -> Iterator[str]:
-    """Of commands besides the first, whose range alone is read."""
+    """Yield a note on the ranges of later commands; only the first command's range is read."""
     signals = [command.signal for command in commands[1:] if not np.isnan(_ctrlrange(model, command.index)).all()]
     if signals:
         yield f"ranges of {listed(signals)} of actuator {_name(model, index)} are left out"
@@ -211,7 +211,10 @@ def _ctrlrange(model: mujoco.MjModel, ctrl: int) -> tuple[float, float]:
 
 
 def _delay(source: Source, index: int) -> float:
-    """By how much commands act late in MuJoCo's steps, which hold them or interpolate between them; noted [s]."""
+    """Return the delay of commands in MuJoCo's steps [s] and note a difference from the file's value.
+
+    MuJoCo holds commands between steps or interpolates them.
+    """
     model = source.model
     stated, step = float(model.actuator_delay[index]), float(model.opt.timestep)
     if stated == 0:
@@ -230,7 +233,7 @@ def _delay(source: Source, index: int) -> float:
 
 
 def _lag(model: mujoco.MjModel, index: int) -> float:
-    """By how much a filter that is as short as a step lags [s], as `write_delay` writes it; of others 0."""
+    """Return the lag [s] of a filter that `write_delay` may have written, shorter than a step; 0 for other filters."""
     constant, step = float(model.actuator_dynprm[index, 0]), float(model.opt.timestep)
     filters = int(model.actuator_dyntype[index]) == mujoco.mjtDyn.mjDYN_FILTEREXACT and model.actuator_actearly[index]
     lag = read_filter(constant, step) if filters and constant > 0 else 0.0
@@ -242,7 +245,7 @@ def _range(ends: np.ndarray, limited: bool) -> tuple[float, float]:
 
 
 def _say_commands(source: Source, joints: Sequence[int], read: Sequence[ReadActuator | None]) -> Iterator[str]:
-    """Where a command of the file is another number than a recording's."""
+    """Yield a note for each recorded signal that differs from the file's command by a factor."""
     found: dict[str, list[str]] = {}
     for joint, actuator in zip(joints, read, strict=True):
         others = [one for one in (actuator.commands if actuator else ()) if one.factor != 1]

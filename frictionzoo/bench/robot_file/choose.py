@@ -1,4 +1,4 @@
-"""Which joints of a robot's file are meant."""
+"""Selection of joints in a robot's file."""
 
 import re
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ _KINDS = {
 
 
 def choose_joints(source: Source, joint: str | int | Sequence[str | int] | None) -> list[int]:
-    """Indices of the joints with these names, or whose whole name a regular expression matches, in MuJoCo's order.
+    """Return the indices of the joints with these names or regular expressions of whole names, in MuJoCo's order.
 
     Raises:
-        BenchError: A name or pattern is no joint's, joints come in another order than the file's, or there is none.
+        BenchError: A name or pattern matches no joint, the names are not in the file's order, or no joint is selected.
     """
     kinds = {index: _KINDS[int(kind)] for index, kind in enumerate(source.model.jnt_type)}
     names = {source.model.joint(index).name: index for index, kind in kinds.items() if kind in ("hinge", "slide")}
@@ -29,7 +29,7 @@ def choose_joints(source: Source, joint: str | int | Sequence[str | int] | None)
             source.fail("it has joints without a name, expected a name for each; list the joints in bench.joint")
         wanted = [".*"]
     else:
-        # A name such as 0 comes as a number.
+        # The command line parses a name such as 0 as a number.
         wanted = [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
     if not names or not wanted:
         source.fail(
@@ -47,7 +47,7 @@ def choose_joints(source: Source, joint: str | int | Sequence[str | int] | None)
     exact = [name for name in wanted if name in names]
     ordered = [name for name in names if name in exact]
     if exact != ordered:
-        # The recording's columns follow bench.joint: another order would swap the joints without a word.
+        # The recording's columns follow bench.joint: another order would silently swap the joints.
         raise BenchError(
             f"bench.joint=[{', '.join(exact)}]: expected each joint once in the order of {source.path}, "
             f"[{', '.join(ordered)}]; change it, and data.columns with it"
@@ -63,10 +63,10 @@ def _matching(pattern: str, names: dict[str, int]) -> list[int]:
 
 
 def say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> None:
-    """Note the joints that stand still, or refuse to have them do so.
+    """Note the fixed joints, or refuse to fix them.
 
     Raises:
-        BenchError: There are some, and `base` or `others` is `as_is`.
+        BenchError: A joint would be fixed, and `base` or `others` is `as_is`.
     """
     model, left = source.model, [index for index in range(source.model.njnt) if index not in joints]
     bases = [index for index in left if _KINDS[int(model.jnt_type[index])] == "free"]

@@ -1,4 +1,4 @@
-"""Actuators of one joint that are one controller, and the check that their torque is what MuJoCo C gives."""
+"""Combination of a joint's actuators into one controller, and comparison of torques with MuJoCo C."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -12,11 +12,11 @@ from frictionzoo.bench.robot_file.dc_motors import is_dc_motor
 from frictionzoo.bench.robot_file.source import Source, listed
 
 _STATES = 20
-_SAME = 1e-9  # of a torque, as a share of its largest part
+_SAME = 1e-9  # largest difference of a torque, relative to its largest term
 
 
 def combine(source: Source, joint: str, read: Sequence[ReadActuator]) -> ReadActuator | None:
-    """The one controller that a joint's actuators are, else the first of them; noted. None where there is none."""
+    """Return the controller that a joint's actuators form, or else the first actuator; noted. None without one."""
     if len(read) < 2:
         return read[0] if read else None
     names = [actuator.name for actuator in read]
@@ -48,7 +48,7 @@ def _together(parts: Mapping[str, ReadActuator], name: str) -> ReadActuator:
     assert position is not None
     damping = position.bias2 + (velocity.bias2 if velocity else 0.0)
     commands = list(position.commands)
-    if velocity is not None:  # what a velocity is worth with the gain of both
+    if velocity is not None:  # share of the velocity actuator in the total damping
         factor = velocity.gain / -damping if damping else 0.0
         commands.append(Command(velocity.commands[0].index, "ctrl_velocity", factor))
     if motor is not None:
@@ -60,7 +60,7 @@ def _together(parts: Mapping[str, ReadActuator], name: str) -> ReadActuator:
 def without_others(
     source: Source, joints: Sequence[int], read: Sequence[ReadActuator | None]
 ) -> tuple[ReadActuator | None, ...]:
-    """The actuators whose torque, in random states and beyond their ranges, is that of MuJoCo C; others are noted."""
+    """Return the actuators whose torque equals MuJoCo C's in random states and beyond their ranges; note the others."""
     model = copy.copy(source.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
@@ -87,7 +87,7 @@ def without_others(
 
 
 def _lift_ranges(model: mujoco.MjModel, actuator: ReadActuator) -> None:
-    """Without the ranges that were not read."""
+    """Remove the ranges that were not read."""
     for command in actuator.commands[1:]:
         model.actuator_ctrllimited[command.index] = False
     if len(_owners(model, actuator)) > 1:
@@ -95,14 +95,14 @@ def _lift_ranges(model: mujoco.MjModel, actuator: ReadActuator) -> None:
 
 
 def _owners(model: mujoco.MjModel, actuator: ReadActuator) -> list[int]:
-    """Indices of the actuators of the file that this one stands for."""
+    """Return the indices of the file's actuators that this one represents."""
     commands = np.array([command.index for command in actuator.commands])
     first, last = model.actuator_ctrladr, model.actuator_ctrladr + model.actuator_ctrlnum
     return np.flatnonzero(((commands[:, None] >= first) & (commands[:, None] < last)).any(axis=0)).tolist()
 
 
 def _draw(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
-    """A random state, commands to beyond their ranges, and what filters come to under them."""
+    """Draw a random state and commands beyond their ranges, with filters in steady state."""
     data.qvel[:], data.qpos[:] = rng.normal(0, 3, model.nv), model.qpos0
     straight = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
     data.qpos[model.jnt_qposadr[straight]] = rng.uniform(-2, 2, straight.sum())
@@ -118,10 +118,10 @@ def _draw(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) 
 
 
 def _compare(model: mujoco.MjModel, data: mujoco.MjData, joint: int, actuator: ReadActuator) -> float:
-    """Difference of the torque here from MuJoCo C's, as a share of its largest part."""
+    """Return the difference from MuJoCo C's torque, relative to its largest term or to 1 N m or N if that is larger."""
     owners = _owners(model, actuator)
     if any(is_dc_motor(model, index) for index in owners):
-        return 0.0  # whose friction and back-EMF are the joint's
+        return 0.0  # its friction and back-EMF count as the joint's
     place = int(model.jnt_dofadr[joint])
     parts = [actuator.bias0, actuator.bias1 * data.qpos[model.jnt_qposadr[joint]], actuator.bias2 * data.qvel[place]]
     for number, command in enumerate(actuator.commands):

@@ -1,4 +1,4 @@
-"""What ties joints to each other besides bodies: equality constraints and tendons."""
+"""Equality constraints and tendons that couple joints."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
@@ -13,10 +13,10 @@ _EQ, _WRAP = mujoco.mjtEq, mujoco.mjtWrap
 
 
 def add_equalities(source: Source, tree: Tree, joints: Sequence[int], root: ET.Element) -> None:
-    """Write the equality constraints between chosen joints; note those that tie none of them.
+    """Write the equality constraints between selected joints; note those that constrain no selected joint.
 
     Raises:
-        BenchError: One ties a chosen joint to something that is not chosen, or closes a loop of bodies.
+        BenchError: A constraint couples a selected joint to an unselected one, couples tendons, or closes a loop.
     """
     model, section, idle = source.model, ET.Element("equality"), []
     for index in range(model.neq):
@@ -34,7 +34,7 @@ def add_equalities(source: Source, tree: Tree, joints: Sequence[int], root: ET.E
 
 
 def _ties(source: Source, tree: Tree, joints: Sequence[int], index: int) -> bool:
-    """Whether an equality constraint acts on a chosen joint."""
+    """Return whether an equality constraint acts on a selected joint."""
     model = source.model
     kind, ends = _EQ(model.eq_type[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
     if kind == _EQ.mjEQ_JOINT:
@@ -67,10 +67,10 @@ def _joint_equality(source: Source, joints: Sequence[int], index: int) -> ET.Ele
 
 
 def add_tendons(source: Source, tree: Tree, joints: Sequence[int], root: ET.Element, limits: bool) -> None:
-    """Write the fixed tendons that act on chosen joints by themselves; note those that do not.
+    """Write the fixed tendons that act on selected joints without an actuator; note the other tendons.
 
     Raises:
-        BenchError: A tendon in space acts on a chosen joint.
+        BenchError: A spatial tendon acts on a selected joint.
     """
     model, section, idle = source.model, ET.Element("tendon"), []
     for tendon in range(model.ntendon):
@@ -91,7 +91,7 @@ def add_tendons(source: Source, tree: Tree, joints: Sequence[int], root: ET.Elem
 
 
 def _wraps(model: mujoco.MjModel, tendon: int) -> Iterator[tuple[int, int, float]]:
-    """Type, object and parameter of each part of a tendon's path."""
+    """Yield type, object and parameter of each part of a tendon's path."""
     first = int(model.tendon_adr[tendon])
     for index in range(first, first + int(model.tendon_num[tendon])):
         yield int(model.wrap_type[index]), int(model.wrap_objid[index]), float(model.wrap_prm[index])
@@ -102,7 +102,7 @@ def _is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
 
 
 def _spans(source: Source, joints: Sequence[int], tree: Tree, tendon: int) -> bool:
-    """Whether a tendon's length changes with a chosen joint."""
+    """Return whether a tendon's length depends on a selected joint."""
     model = source.model
     if _is_fixed(model, tendon):
         return any(joint in joints and factor for _, joint, factor in _wraps(model, tendon))
@@ -113,14 +113,14 @@ def _spans(source: Source, joints: Sequence[int], tree: Tree, tendon: int) -> bo
 
 
 def _acts(model: mujoco.MjModel, tendon: int, limits: bool) -> bool:
-    """Whether a tendon pulls without an actuator."""
+    """Return whether a tendon exerts a force without an actuator."""
     own = ("stiffness", "damping", "frictionloss", "armature", "stiffnesspoly", "dampingpoly")
     limited = limits and model.tendon_limited[tendon]
     return bool(limited or any(np.any(getattr(model, f"tendon_{name}")[tendon]) for name in own))
 
 
 def _fixed(model: mujoco.MjModel, joints: Sequence[int], tendon: int, limits: bool) -> ET.Element:
-    """A fixed tendon; joints that are not chosen stand still and have a constant part in its length."""
+    """Return a fixed tendon; unselected joints contribute a constant to its length."""
     path = [(joint, factor) for _, joint, factor in _wraps(model, tendon)]
     constant = sum(factor * model.qpos0[model.jnt_qposadr[joint]] for joint, factor in path if joint not in joints)
     said = {

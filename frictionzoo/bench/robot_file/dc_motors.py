@@ -1,7 +1,7 @@
-"""What a robot's file says by `<dcmotor>`: friction of bristles, a voltage that is a torque, and back-EMF.
+"""Bristle friction, torque per volt and back-EMF of the `<dcmotor>`s in a robot's file.
 
-Source: MuJoCo documentation, XML reference, `actuator/dcmotor`, and how its compiler puts that into `actuator_dynprm`,
-`actuator_gainprm` and `actuator_biasprm`.
+Source: MuJoCo documentation, XML reference, `actuator/dcmotor`, and MuJoCo's compiler, which stores it in
+`actuator_dynprm`, `actuator_gainprm` and `actuator_biasprm`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,17 +19,17 @@ BRISTLES = ("stiffness", "micro_damping", "kinetic_torque", "static_torque", "st
 
 
 def is_dc_motor(model: mujoco.MjModel, index: int) -> bool:
-    """Whether an actuator is a `<dcmotor>`, or what that stands for."""
+    """Return whether an actuator is a `<dcmotor>` or an equivalent general actuator."""
     return int(model.actuator_dyntype[index]) == mujoco.mjtDyn.mjDYN_DCMOTOR
 
 
 def has_input(model: mujoco.MjModel, index: int) -> bool:
-    """Whether an actuator has a command."""
+    """Return whether an actuator has a command."""
     return int(model.actuator_ctrlnum[index]) > 0
 
 
 def why_not_linear(model: mujoco.MjModel, index: int) -> str | None:
-    """Why the torque of a DC motor, bristles aside, is not one linear in voltage and velocity."""
+    """Return the reason why a DC motor's torque without bristles is not linear in voltage and velocity, or None."""
     if int(model.actuator_ctrlspec[index]) & ~_UNCONTROLLED:
         return "its DC motor has a controller of its own"
     winding = np.delete(model.actuator_dynprm[index], (_STIFFNESS, _MICRO_DAMPING))
@@ -41,22 +41,22 @@ def why_not_linear(model: mujoco.MjModel, index: int) -> str | None:
 
 
 def torque_per_volt(model: mujoco.MjModel, index: int) -> float:
-    """Of a DC motor, before its gear [N m/V or N/V]."""
+    """Return the torque per volt of a DC motor, before its gear [N m/V or N/V]."""
     resistance, constant = model.actuator_gainprm[index, :2]
     return float(constant / resistance)
 
 
 def read_back_emf(model: mujoco.MjModel, index: int) -> float:
-    """What a DC motor's winding takes of its joint's velocity [N m s/rad or N s/m]."""
+    """Return the damping of the joint from a DC motor's back-EMF [N m s/rad or N s/m]."""
     return float(model.actuator_gear[index, 0] ** 2 * model.actuator_gainprm[index, 1]) * torque_per_volt(model, index)
 
 
 def read_bristles(source: Source, motors: Mapping[int, Sequence[int]]) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Parameters of `lugre` that DC motors give their joints, NaN where none does; noted.
+    """Return the parameters of `lugre` from the DC motors of each joint and note them; NaN without bristles.
 
     Args:
         source: The robot's file.
-        motors: Indices of the DC motors of each joint that is identified.
+        motors: Indices of the DC motors of each identified joint.
     """
     model, rows = source.model, list[list[float]]()
     names = [model.joint(joint).name for joint in motors]
@@ -75,9 +75,9 @@ def read_bristles(source: Source, motors: Mapping[int, Sequence[int]]) -> dict[s
 
 
 def _bristles(model: mujoco.MjModel, index: int) -> list[float]:
-    """As the joint feels them through the gear, in the order of `BRISTLES`."""
+    """Return a DC motor's bristle parameters reflected through the gear, in the order of `BRISTLES`."""
     gear = abs(float(model.actuator_gear[index, 0]))
     dynamics, bias = model.actuator_dynprm[index], model.actuator_biasprm[index]
-    static = bias[_STATIC] if bias[_STRIBECK] > 0 else bias[_KINETIC]  # at a velocity of 0 MuJoCo has no such effect
+    static = bias[_STATIC] if bias[_STRIBECK] > 0 else bias[_KINETIC]  # without a Stribeck velocity MuJoCo ignores it
     springs = gear**2 * dynamics[[_STIFFNESS, _MICRO_DAMPING]]
     return [float(number) for number in (*springs, gear * bias[_KINETIC], gear * static, bias[_STRIBECK] / gear)]

@@ -1,4 +1,4 @@
-"""Geoms that can touch each other, as MJCF."""
+"""Primitive geoms that can touch each other, written as MJCF."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -17,16 +17,16 @@ _SIZES = {
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
 }
-"""Geoms without a mesh, and how many numbers their size has."""
+"""Name and number of size parameters of each primitive geom type."""
 _SAID = ("condim", "contype", "conaffinity", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap")
 
 
 def add_contacts(source: Source, root: ET.Element) -> None:
-    """Write the primitive geoms that can touch into a template in which all bodies stand by themselves.
+    """Add the primitive geoms that can touch to a template without fused bodies.
 
     Args:
         source: The robot's file.
-        root: The template, with a `<worldbody>`; changed.
+        root: The template, with a `<worldbody>`; modified in place.
     """
     model = source.model
     bodies = [root.find("worldbody"), *root.iterfind("./worldbody//body")]

@@ -1,4 +1,4 @@
-"""Rigid links: how their inertia adds up, and what of it MuJoCo takes."""
+"""Rigid links: sum of inertias, and correction to an inertia that MuJoCo accepts."""
 
 from dataclasses import dataclass
 
@@ -7,20 +7,20 @@ import numpy as np
 from jaxtyping import Float
 
 LEAST = 1e-14
-"""Mass [kg] and inertia [kg m^2] of a moving link that has none: MuJoCo wants some, and this one moves nothing."""
-_UNPHYSICAL = 1e-9  # share of the largest principal inertia by which it may be above the sum of the others: rounding
+"""Mass [kg] and inertia [kg m^2] of a moving link without any: MuJoCo requires some, and these have no effect."""
+_UNPHYSICAL = 1e-9  # violation of the triangle inequality that counts as rounding, relative to the largest inertia
 
 
 @dataclass(frozen=True)
 class Link:
-    """What moves as one body.
+    """Rigid group of the file's bodies.
 
     Attributes:
-        name: Of the body, as in the file; empty where it has none.
-        fused: Names of all bodies of the file that it is made of.
-        mass: In kg.
+        name: Name of the body in the file; empty if it has none.
+        fused: Names of all bodies of the file in the group.
+        mass: Mass [kg].
         centre: Centre of mass in the body's frame [m].
-        inertia: About the centre of mass, along the body's axes [kg m^2], as the file has it, physical or not.
+        inertia: Inertia about the centre of mass, in the body's axes [kg m^2], from the file, possibly unphysical.
     """
 
     name: str
@@ -32,33 +32,33 @@ class Link:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a frame is in another one."""
+    """Position and orientation of a frame in another frame."""
 
     position: Float[np.ndarray, "3"]
     quaternion: Float[np.ndarray, "4"]
 
     def of(self, inner: "Place") -> "Place":
-        """Where a frame is that has this place in here."""
+        """Return the place of a frame that has the place `inner` in this frame."""
         quaternion = np.zeros(4)
         mujoco.mju_mulQuat(quaternion, self.quaternion, inner.quaternion)
         return Place(self.point(inner.position), quaternion)
 
     def point(self, inside: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """Where a point of the frame is."""
+        """Return the coordinates in the outer frame of a point given in this frame."""
         return self.position + rotation(self.quaternion) @ inside
 
     def turned(self, inertia: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """An inertia along this frame's axes, along the other's."""
+        """Return an inertia, given in this frame's axes, in the outer frame's axes."""
         axes = rotation(self.quaternion)
         return axes @ inertia @ axes.T
 
 
 HERE = Place(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-"""The frame itself."""
+"""Identity: place of a frame in itself."""
 
 
 def rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    """The matrix of a quaternion."""
+    """Return the rotation matrix of a quaternion."""
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, quaternion)
     return axes.reshape(3, 3)
@@ -67,7 +67,7 @@ def rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
 def add_up(
     masses: Float[np.ndarray, "n"], centres: Float[np.ndarray, "n 3"], inertias: Float[np.ndarray, "n 3 3"]
 ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Mass, centre of mass and inertia about it of several together, all along the same axes."""
+    """Return total mass, centre of mass and inertia about it of several bodies, all in the same axes."""
     mass = float(masses.sum())
     centre = masses @ centres / mass if mass > 0 else np.zeros(3)
     total = np.zeros((3, 3))
@@ -79,12 +79,12 @@ def add_up(
 def physical(
     mass: float, inertia: Float[np.ndarray, "3 3"]
 ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "4"], bool]:
-    """Mass, principal inertia and its axes, as near as a body of matter can have them.
+    """Return mass and principal inertia, corrected to a physical body if necessary.
 
-    The second moments of mass along the principal axes are what has to be positive; those that are not become nearly 0.
+    The second moments of mass along the principal axes must be positive; others are raised to nearly 0.
 
     Returns:
-        Mass [kg], principal inertia [kg m^2], quaternion of their axes; and whether that is a change.
+        Mass [kg], principal inertia [kg m^2], quaternion of the principal axes; and whether they were corrected.
     """
     principal, axes = np.linalg.eigh((inertia + inertia.T) / 2)
     axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection
@@ -93,5 +93,5 @@ def physical(
     moments = principal.sum() / 2 - principal
     changed = bool(mass < 0 or moments.min() < -max(_UNPHYSICAL * abs(principal).max(), LEAST))
     first, second, third = np.maximum(moments, LEAST / 2)
-    # Added in this way, the largest is at most the sum of the others in floating point too.
+    # With these sums, the largest is at most the sum of the others in floating point too.
     return max(mass, LEAST), np.array([second + third, first + third, first + second]), quaternion, changed

@@ -1,4 +1,4 @@
-"""The options of a robot's file that a bench keeps, and a line for each that it does not."""
+"""Options of a robot's file in a bench, with a note for each that the bench drops."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -12,24 +12,24 @@ _INTEGRATOR, _OFF = mujoco.mjtIntegrator, mujoco.mjtDisableBit
 _KEPT_FLAGS = {"gravity", "spring", "damper", "eulerdamp", "refsafe"}
 _CONTACT_FLAGS = {"filterparent"}
 _ASKED = {"constraint", "equality", "limit", "contact"}
-"""Flags whose constraints are not written where they are off."""
+"""Flags of constraint types that the bench omits if disabled."""
 _IDLE = {"warmstart", "sensor", "midphase", "autoreset", "nativeccd", "island", "multiccd"}
-"""Flags that change nothing of a bench's motion."""
+"""Flags without an effect on a bench's motion."""
 
 
 def acting(source: Source, kind: str) -> bool:
-    """Whether constraints of a kind (`equality`, `limit`, `contact`) act, by the file's flags."""
+    """Return whether the file's flags enable a kind of constraints (`equality`, `limit`, `contact`)."""
     off = _OFF.mjDSBL_CONSTRAINT | getattr(_OFF, f"mjDSBL_{kind.upper()}")
     return not source.model.opt.disableflags & off
 
 
 def is_fluid(source: Source) -> bool:
-    """Whether bodies move through a medium."""
+    """Return whether bodies move through a medium."""
     return bool(source.model.opt.density > 0 or source.model.opt.viscosity > 0)
 
 
 def write_option(source: Source, timestep: float | None, contacts: bool) -> ET.Element:
-    """The `<option>` of a bench; what differs from the file's is noted."""
+    """Return the `<option>` of a bench; differences from the file are noted."""
     option = source.model.opt
     said = {"timestep": option.timestep if timestep is None else timestep, "gravity": option.gravity}
     attributes = {"integrator": _integrator(source)}
@@ -90,7 +90,7 @@ def _enabled(option: mujoco.MjOption) -> list[mujoco.mjtEnableBit]:
 
 
 def _flags(source: Source, contacts: bool) -> list[str]:
-    """Names of the flags that stay off."""
+    """Return the names of the flags that stay disabled; others are noted."""
     every = {name: flag for name, flag in _OFF.__members__.items() if name.startswith("mjDSBL")}
     off = [name.removeprefix("mjDSBL_").lower() for name, flag in every.items() if source.model.opt.disableflags & flag]
     kept = _KEPT_FLAGS | (_CONTACT_FLAGS if contacts else set())

@@ -1,4 +1,4 @@
-"""A robot's own file, MJCF or URDF as its maker publishes it, as what a bench needs."""
+"""Reading of a robot's file, MJCF or URDF, for a bench."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -31,24 +31,24 @@ _IMPLICIT = {mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMP
 
 @dataclass(frozen=True)
 class RobotFile:
-    """What a bench needs of a robot's file.
+    """Data of a robot's file for a bench.
 
     Attributes:
-        root: A self-contained MJCF of the chosen joints, in radians, whose base stands still: no friction, damping,
-            armature and actuator at these joints, no mesh, no sensor.
-        joints: Names of the chosen joints, in MuJoCo's order.
-        values: `armature` [kg m^2 or kg], `frictionloss` [N m or N] and `damping` [N m s/rad or N s/m] of each joint as
-            the file has them, that of its actuator included, of shape (nv,).
-        bristles: Friction of its `<dcmotor>`s, by the names of parameters of `lugre`, of shape (nv,); NaN where a joint
-            has none.
-        actuators: Of each joint; None where the file has none that can be read.
-        ranges: Limits of each joint's position [rad or m], of shape (nv, 2); NaN where it has none.
-        forceranges: Limits of each joint's drive [N m or N], those of joint and actuator together, of shape (nv, 2);
-            NaN where it has none.
-        ctrlranges: Limits of each joint's desired position [rad or m], of shape (nv, 2); NaN where it has none.
-        delays: By which each joint's commands act late [s], of shape (nv,); 0 where it has no actuator.
-        links: All bodies that move, and those kept by name.
-        notes: A line for each thing that was left out or changed.
+        root: Self-contained MJCF of the selected joints, in radians, with a fixed base, without friction, damping,
+            armature and actuators at these joints, without meshes and sensors.
+        joints: Names of the selected joints, in MuJoCo's order.
+        values: `armature` [kg m^2 or kg], `frictionloss` [N m or N] and `damping` [N m s/rad or N s/m] of each joint in
+            the file, including its actuators' armature and damping, of shape (nv,).
+        bristles: Friction of the `<dcmotor>`s, by the parameter names of `lugre`, of shape (nv,); NaN for a joint
+            without bristles.
+        actuators: Actuator of each joint; None without a supported actuator.
+        ranges: Limits of each joint's position [rad or m], of shape (nv, 2); NaN without a limit.
+        forceranges: Torque limits of each joint [N m or N], from joint and actuator, of shape (nv, 2); NaN without a
+            limit.
+        ctrlranges: Limits of each joint's desired position [rad or m], of shape (nv, 2); NaN without a limit.
+        delays: Delay of each joint's commands [s], of shape (nv,); 0 without an actuator.
+        links: All moving bodies, and those kept by name.
+        notes: Features that were left out or changed, one line each.
     """
 
     root: ET.Element
@@ -77,24 +77,24 @@ def read_robot(
 ) -> RobotFile:
     """Read a robot's file.
 
-    With the file's values and actuators written in, its step is that of the maker's file with all other joints welded.
-    Bodies that no chosen joint moves against each other become one.
+    With the file's values and actuators added, the result moves like the manufacturer's file with all other joints
+    welded. Bodies without a selected joint between them are fused.
 
     Args:
-        source: Path of an MJCF or a URDF. Meshes are opened only where a moving body's inertia comes from them.
-        joint: Names, or regular expressions that match whole names, of the joints that move; None for all that have one
-            degree of freedom.
+        source: Path of an MJCF or a URDF. Meshes are opened only if a body's inertia depends on them.
+        joint: Names of the moving joints, or regular expressions that match whole names; None for all with one degree
+            of freedom.
         base: `fixed`, or `as_is` to refuse a floating base.
         contacts: `leave_out`, or `keep` for primitive geoms that can touch.
-        limits: `leave_out` or `keep`, of joints and tendons.
-        others: What becomes of joints that are not chosen: `fixed` at their reference position, or `as_is` to refuse
-            the file if there are any.
-        keep: Names of bodies that are to stay bodies of their own, though no joint moves them against their parent.
+        limits: `leave_out` or `keep` the limits of joints and tendons.
+        others: `fixed` to hold unselected joints at their reference position, or `as_is` to refuse them.
+        keep: Names of bodies that are not fused with their parents.
         timestep: Simulation step [s]; None for the file's.
 
     Raises:
-        BenchError: The file cannot be read, has no such joints or bodies, or has what cannot be left out in silence.
-        ConfigError: An option has another value.
+        BenchError: The file cannot be read, lacks these joints or bodies, or has an unsupported feature that affects
+            the motion.
+        ConfigError: An option has an invalid value.
     """
     _refuse_other("base", base, ("as_is", "fixed"))
     _refuse_other("others", others, ("as_is", "fixed"))
@@ -171,7 +171,7 @@ def _values(file: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, 
 def _at_least_zero(
     file: Source, joints: Sequence[int], name: str, values: Float[np.ndarray, "nv"]
 ) -> Float[np.ndarray, "nv"]:
-    """A file may come from a fit that did not know of signs."""
+    """Return the values with negative ones, which a file from an unbounded fit may have, set to 0 and noted."""
     pairs = zip(joints, values, strict=True)
     below = [f"{file.model.joint(joint).name} ({value:.3g})" for joint, value in pairs if value < 0]
     if below:
@@ -182,7 +182,7 @@ def _at_least_zero(
 def _write(
     file: Source, tree: Tree, joints: Sequence[int], contacts: bool, limits: bool, timestep: float | None
 ) -> ET.Element:
-    """The MJCF; what acts in the file's own and not in it is noted."""
+    """Return the MJCF; omitted features that affect the motion are noted."""
     acts = acting(file, "contact")
     touching = acts and bool(file.model.npair or can_collide(file.model))
     if acts and contacts and file.meshes:
@@ -203,7 +203,7 @@ def _write(
 
 
 def _say_left_out(file: Source, joints: Sequence[int], contacts: bool, limits: bool) -> Iterator[str]:
-    """Why a recording does not need what is left out."""
+    """Yield a note for omitted contacts and limits, with the condition under which the recording does not need them."""
     limited = [joint for joint in joints if file.model.jnt_limited[joint]]
     if contacts:
         yield (
@@ -223,7 +223,7 @@ def _limit(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
 
 
 def _force_limit(file: Source, joint: int, actuator: ReadActuator | None) -> tuple[float, float]:
-    """Where a joint's torque ends: what the actuator gives, cut off by the joint's own range."""
+    """Return the torque range of a joint: the actuator's range, clipped to the joint's `actuatorfrcrange`."""
     model, none = file.model, (np.nan, np.nan)
     low, high = map(float, model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else none
     if not np.isnan(low) and model.jnt_actgravcomp[joint]:
@@ -235,7 +235,7 @@ def _force_limit(file: Source, joint: int, actuator: ReadActuator | None) -> tup
 
 
 def _say_damped_limits(joints: Sequence[int], actuators: Sequence[ReadActuator | None], file: Source) -> Iterator[str]:
-    """Where MuJoCo's implicit integrators leave out the damping of an actuator whose torque is at its limit."""
+    """Yield a note on joints whose damping at the torque limit MuJoCo's implicit integrators omit."""
     if file.model.opt.integrator not in _IMPLICIT:
         return
     named = [

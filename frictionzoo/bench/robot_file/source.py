@@ -1,4 +1,4 @@
-"""A robot's file as MuJoCo reads it: with every joint, without what moves none, and with its links' inertia."""
+"""A robot's file compiled by MuJoCo: all joints and link inertias, without elements that do not affect motion."""
 
 import contextlib
 import re
@@ -17,32 +17,33 @@ from frictionzoo.bench.robot_file.links import rotation
 from frictionzoo.bench.robot_file.urdf import clean
 from frictionzoo.core.errors import BenchError
 
-_LISTED = 6  # names that a line lists before it counts
+_LISTED = 6  # most names in a note
 _MESH_TYPES = {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF, mujoco.mjtGeom.mjGEOM_HFIELD}
-_MESH_FILES = {".stl", ".obj", ".msh"}  # what MuJoCo opens
+_MESH_FILES = {".stl", ".obj", ".msh"}  # supported by MuJoCo
 _MASSLESS = {mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD}
 _FROM_GEOM = mujoco.mjtInertiaFromGeom
 _NO_NUMBERS = {"nan", "inf", "infinity"}
 _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "link", "user", "file"}
-"""Attributes in which these words are no numbers."""
+"""Attributes in which the words in `_NO_NUMBERS` may be names."""
 _IDLE_SECTIONS = {"asset", "custom", "keyframe", "sensor", "statistic", "visual"}
-_LEAST = 1e-13  # kg or kg m^2, above what MuJoCo takes for none
+_LEAST = 1e-13  # kg or kg m^2; MuJoCo's compiler refuses less
 
 
 @dataclass
 class Source:
-    """A robot's file, read.
+    """Robot's file after compilation.
 
     Attributes:
-        path: As the user named it.
-        model: Compiled, with every joint and actuator, floating base included.
-        mass: Of each body [kg], of shape (nbody,).
+        path: Path from the user.
+        model: Compiled model with all joints and actuators, including a floating base.
+        mass: Mass of each body [kg], of shape (nbody,).
         centre: Centre of mass of each body in its frame [m], of shape (nbody, 3).
-        inertia: About the centre of mass, along the body's axes [kg m^2], of shape (nbody, 3, 3).
-        compiled: Whether the model has these inertias too: not those that MuJoCo does not take, which it sees as 1.
+        inertia: Inertia about the centre of mass, in the body's axes [kg m^2], of shape (nbody, 3, 3).
+        compiled: Whether the compiled model has a body's mass and inertia; it has 1 instead of values that MuJoCo
+            refuses.
         meshes: Number of geoms with a mesh that could touch something.
-        absent: Mesh file without which a body's inertia is not known, by the body's index.
-        notes: What was left out or changed, a line each.
+        absent: Missing mesh file that determines a body's inertia, by the body's index.
+        notes: Features that were left out or changed, one line each.
     """
 
     path: str
@@ -60,16 +61,16 @@ class Source:
         raise BenchError(f"{self.path}: {message}")
 
     def name(self, body: int) -> str:
-        """Of a body, for a line."""
+        """Return a body's name or number, for messages."""
         return self.model.body(body).name or f"number {body}"
 
     def dof(self, joint: int) -> int:
-        """Index of a joint's degree of freedom."""
+        """Return the index of a joint's degree of freedom."""
         return int(self.model.jnt_dofadr[joint])
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names for a line, the first of many."""
+    """Return the first names and the number of the others, for messages."""
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
@@ -77,12 +78,12 @@ def listed(names: Sequence[str]) -> str:
 def load(path: str, content: bytes | None = None, equip: Callable[[mujoco.MjSpec], None] = lambda _: None) -> Source:
     """Read a robot's file, MJCF or URDF.
 
-    No mesh is opened but where a body's inertia comes from it, and no texture.
+    Textures are not opened, and meshes only if a body's inertia depends on them.
 
     Args:
-        path: Of the file.
-        content: What is to be read as if it were that file, without includes; None for the file itself.
-        equip: Adds to what was read before it is compiled.
+        path: Path of the file.
+        content: Content instead of the file's, without includes; None reads the file.
+        equip: Function that extends the specification before compilation.
 
     Raises:
         BenchError: The file cannot be read, or MuJoCo refuses it.
@@ -104,13 +105,13 @@ def load(path: str, content: bytes | None = None, equip: Callable[[mujoco.MjSpec
 
 
 def look_at(path: str) -> mujoco.MjModel:
-    """A robot's file with the shapes that it shows, of meshes those that are there: for pictures, not for motion.
+    """Return a robot's file compiled with its shapes and existing meshes, for pictures and not for simulation.
 
     Raises:
         BenchError: The file cannot be read, or MuJoCo refuses it.
     """
     notes: list[str] = []
-    # A body may have no inertia without a mesh that is not there; the file is then read as for a simulation.
+    # A body may have no inertia without a missing mesh; the file is then read as for a simulation.
     with _collecting_warnings(notes), contextlib.suppress(ValueError, RuntimeError):
         spec, _ = _parse(path, None, notes)
         notes += _leave_out(spec)
@@ -125,8 +126,8 @@ def look_at(path: str) -> mujoco.MjModel:
 
 @contextlib.contextmanager
 def _collecting_warnings(notes: list[str]) -> Iterator[None]:
-    """MuJoCo's warnings as lines, which it would print and write to a file in the working directory."""
-    found: dict[str, list[str]] = {}  # those that differ by a name alone, together
+    """Collect MuJoCo's warnings as notes; MuJoCo would print them and write a file in the working directory."""
+    found: dict[str, list[str]] = {}  # groups warnings that differ only in a name
 
     def collect(text: str) -> None:
         named = re.search("'(.*?)'", text)
@@ -149,14 +150,14 @@ def _collecting_warnings(notes: list[str]) -> Iterator[None]:
 def _in_one_line(path: str) -> Iterator[None]:
     try:
         yield
-    except (ValueError, RuntimeError) as error:  # MuJoCo has both for files that it does not take
+    except (ValueError, RuntimeError) as error:  # MuJoCo raises both for invalid files
         raise BenchError(
             f"{path}: MuJoCo does not take it ({' '.join(str(error).split())}); correct the file"
         ) from None
 
 
 def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
-    """What MuJoCo reads before it compiles, includes, classes and frames resolved, and whether it is a URDF."""
+    """Return MuJoCo's specification, with includes, classes and frames resolved, and whether the file is a URDF."""
     try:
         root = ET.fromstring(Path(path).read_bytes() if content is None else content)
     except OSError as error:
@@ -178,12 +179,12 @@ def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.M
     notes += clean(path, root)
     spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
     spec.modelfiledir = str(Path(path).parent)
-    spec.compiler.fusestatic = False  # bodies keep their names; which are fused is decided later
+    spec.compiler.fusestatic = False  # keeps the bodies' names; `Tree` fuses bodies
     return spec, True
 
 
 def _leave_out(spec: mujoco.MjSpec) -> Iterator[str]:
-    """Delete what moves no joint and may need files, or refers to what is deleted."""
+    """Delete elements that do not affect motion, and flexible bodies; yield a note for each kind."""
     for element in (*spec.geoms, *spec.sites, *spec.tendons, *spec.meshes):
         element.material = ""
     kinds = ("sensors", "keys", "cameras", "lights", "skins", "textures", "materials", "tuples")
@@ -209,12 +210,11 @@ def _needs_asset(geom: mujoco.MjsGeom) -> bool:
 
 @dataclass
 class _Settled:
-    """What `_settle_inertia` found, by bodies.
+    """Inertias of bodies that differ from the compiled model.
 
     Attributes:
-        unlike: Mass and inertia that MuJoCo does not take, along the axes that the file gives; it sees 1 instead.
-        meshes: Number of geoms with a mesh that could touch something.
-        absent: Mesh file without which the inertia is not known.
+        unlike: Mass and inertia that MuJoCo refuses, in the file's axes; MuJoCo compiles 1 instead.
+        absent: Missing mesh file that determines the inertia.
     """
 
     unlike: dict[mujoco.MjsBody, tuple[float, Float[np.ndarray, "3 3"]]] = field(default_factory=dict)
@@ -222,7 +222,7 @@ class _Settled:
 
 
 def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
-    """Let every body compile, and delete all meshes from which no body takes its inertia."""
+    """Replace inertias that MuJoCo refuses, and delete meshes on which no body's inertia depends."""
     compiler, settled = spec.compiler, _Settled()
     meshes = {mesh.name: mesh for mesh in spec.meshes}
     for geom in [geom for geom in spec.worldbody.geoms if _needs_asset(geom)]:
@@ -246,7 +246,7 @@ def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
             spec.delete(geom)
     if compiler.settotalmass > 0 and settled.unlike:
         raise ValueError(f"settotalmass, but without a usable inertia of {listed([b.name for b in settled.unlike])}")
-    if compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_TRUE:  # now said body by body
+    if compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_TRUE:  # each body now states its source
         compiler.inertiafromgeom = _FROM_GEOM.mjINERTIAFROMGEOM_AUTO
     for body in settled.unlike:
         _put_ones(body)
@@ -255,7 +255,7 @@ def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
 
 
 def _gives_inertia(geom: mujoco.MjsGeom, body: mujoco.MjsBody, compiler: mujoco.MjsCompiler) -> bool:
-    """Whether MuJoCo's compiler takes a body's inertia from this geom, among others."""
+    """Return whether MuJoCo's compiler computes a body's inertia from this geom, among others."""
     never = compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_FALSE
     explicit = body.explicitinertial and compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_AUTO
     low, high = compiler.inertiagrouprange
@@ -264,7 +264,7 @@ def _gives_inertia(geom: mujoco.MjsGeom, body: mujoco.MjsBody, compiler: mujoco.
 
 
 def _is_there(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh | None, folder: Path) -> bool:
-    """Whether MuJoCo could open a mesh."""
+    """Return whether MuJoCo can open a mesh."""
     if mesh is None or not mesh.file:
         return mesh is not None
     name = Path(mesh.file).name if spec.strippath else mesh.file
@@ -275,7 +275,7 @@ def _is_there(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh | None, folder: Path) ->
 
 
 def _explicit(body: mujoco.MjsBody) -> tuple[float, Float[np.ndarray, "3 3"]]:
-    """Mass and inertia as the file has them, along axes that only compiling resolves."""
+    """Return mass and inertia from the file, in axes that only compilation resolves."""
     full = np.array(body.fullinertia)
     if np.isnan(full[0]):
         return float(body.mass), np.diag(body.inertia)
@@ -284,7 +284,7 @@ def _explicit(body: mujoco.MjsBody) -> tuple[float, Float[np.ndarray, "3 3"]]:
 
 
 def _is_taken(mass: float, inertia: Float[np.ndarray, "3 3"], moves: bool, balanced: bool) -> bool:
-    """Whether MuJoCo's compiler takes this mass and inertia of a body."""
+    """Return whether MuJoCo's compiler accepts this mass and inertia of a body."""
     principal = np.linalg.eigvalsh(inertia)
     if mass == 0 and not principal.any():
         return not moves
@@ -293,20 +293,20 @@ def _is_taken(mass: float, inertia: Float[np.ndarray, "3 3"], moves: bool, balan
 
 
 def _let_geoms_give(body: mujoco.MjsBody) -> None:
-    """Without an inertia of its own, whatever it had."""
+    """Remove the body's explicit inertia, for an inertia from its geoms."""
     _put_ones(body)
     body.mass, body.explicitinertial, body.ipos = 0.0, False, [np.nan, 0.0, 0.0]
 
 
 def _put_ones(body: mujoco.MjsBody) -> None:
-    """A mass and an inertia of 1 where the file has its own, so that axes are resolved."""
+    """Set mass and inertia to 1 but keep the file's axes, which the compiler then resolves."""
     body.mass, body.inertia, body.fullinertia, body.explicitinertial = 1.0, np.ones(3), [np.nan, *np.zeros(5)], True
     if np.isnan(body.ipos[0]):
         body.ipos = np.zeros(3)
 
 
 def _delete_unused(spec: mujoco.MjSpec) -> None:
-    """Delete meshes and height fields that no geom has any longer, and what names a deleted geom."""
+    """Delete height fields, meshes without a geom, and contact pairs with a deleted geom."""
     used, geoms = {geom.meshname for geom in spec.geoms}, {geom.name for geom in spec.geoms}
     unused = [mesh for mesh in spec.meshes if mesh.name not in used]
     pairs = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= geoms]
@@ -326,7 +326,11 @@ def _with_inertia(path: str, model: mujoco.MjModel, settled: _Settled, meshes: i
 
 
 def _refuse_no_numbers(source: Source) -> None:
-    """BenchError for a body, joint or actuator with a number that is not finite."""
+    """Refuse numbers that are not finite.
+
+    Raises:
+        BenchError: A body, joint, actuator, tendon or option has such a number.
+    """
     model, bodies = source.model, np.column_stack([source.mass, source.centre, source.inertia.reshape(-1, 9)])
     kinds = {"body": ("body_", model.nbody), "joint": ("jnt_", model.njnt), "actuator": ("actuator_", model.nactuator)}
     for kind, (prefix, count) in kinds.items():
@@ -344,7 +348,7 @@ def _refuse_no_numbers(source: Source) -> None:
 
 
 def _say_mass_of_shapes(spec: mujoco.MjSpec, source: Source) -> Iterator[str]:
-    """A URDF's link without <inertial> has no mass elsewhere; in MuJoCo its collision shapes have."""
+    """Yield a note on moving URDF links without <inertial>, to whose collision shapes only MuJoCo gives mass."""
     bodies = [body for body in spec.bodies[1:] if not body.explicitinertial and source.mass[body.id] > 0]
     moving = [body for body in bodies if source.model.body_weldid[body.id]]
     if moving:

@@ -1,4 +1,4 @@
-"""The bodies of a robot of which only some joints move, as MJCF: what moves as one is one body."""
+"""MJCF bodies of a robot of which only some joints move; bodies that move together are fused."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Sequence
@@ -11,25 +11,25 @@ from frictionzoo.bench.robot_file.source import Source, listed
 
 _KINDS = {int(mujoco.mjtJoint.mjJNT_HINGE): "hinge", int(mujoco.mjtJoint.mjJNT_SLIDE): "slide"}
 _SOLREF, _SOLIMP = np.array([0.02, 1.0]), np.array([0.9, 0.95, 0.001, 0.5, 2.0])
-"""MuJoCo's defaults, which nothing has to say."""
+"""MuJoCo's defaults, which the MJCF omits."""
 
 
 def numbers(values: float | np.ndarray) -> str:
-    """Numbers as an MJCF has them, at full precision."""
+    """Return numbers as MJCF text at full precision."""
     return " ".join(repr(float(value)) for value in np.atleast_1d(values))
 
 
 class Tree:
-    """Which bodies move as one when only these joints move; every other joint stands at its reference position.
+    """Tree of fused bodies for a set of moving joints; the other joints stay at their reference position.
 
     Attributes:
-        links: All that move, and those kept by name, in MuJoCo's order.
+        links: Moving links and those kept by name, or all bodies if `apart`, in MuJoCo's order.
 
     Args:
         source: The robot's file.
-        joints: Indices of the joints that move.
-        kept: Names of bodies that are to stay bodies of their own.
-        apart: Whether all bodies are.
+        joints: Indices of the moving joints.
+        kept: Names of bodies that are not fused with their parents.
+        apart: Whether no body is fused.
     """
 
     def __init__(self, source: Source, joints: Sequence[int], kept: Collection[str], apart: bool) -> None:
@@ -50,15 +50,15 @@ class Tree:
         self.links: tuple[Link, ...] = tuple(self._link(body) for body in self._bodies())
 
     def moves(self, body: int) -> bool:
-        """Whether a chosen joint moves a body."""
+        """Return whether a selected joint moves a body."""
         return bool(self._moves[body])
 
     def together(self, body: int, other: int) -> bool:
-        """Whether no chosen joint is between two bodies."""
+        """Return whether no selected joint is between two bodies."""
         return self._anchor(body) == self._anchor(other)
 
     def write(self, limits: bool) -> ET.Element:
-        """The `<worldbody>`, without geoms."""
+        """Return the `<worldbody>`, without geoms."""
         elements = {0: ET.Element("worldbody")}
         for body, link in zip(self._bodies(), self.links, strict=True):
             parent = int(self._source.model.body_parentid[body])
@@ -102,7 +102,7 @@ class Tree:
         return Place(self._source.model.body_pos[body].copy(), self._source.model.body_quat[body].copy())
 
     def _lifted(self, body: int, parent: int) -> bool:
-        """Whether gravity acts otherwise on a body than on what it is fixed to."""
+        """Return whether a body's gravity compensation differs from that of the body it is fixed to."""
         lift, owner = self._source.model.body_gravcomp, self._owner[parent]
         return bool(self._moves[body] and self._source.mass[body] > 0 and lift[body] != lift[owner])
 
@@ -126,7 +126,7 @@ class Tree:
     def _inertial(self, body: int, link: Link) -> ET.Element:
         model = self._source.model
         weighing = [member for member in self._members(body) if self._source.mass[member]]
-        if weighing == [body] and self._source.compiled[body]:  # to the last bit
+        if weighing == [body] and self._source.compiled[body]:  # bit-identical to the compiled file
             mass, centre = model.body_mass[body], model.body_ipos[body]
             principal, quaternion = model.body_inertia[body], model.body_iquat[body]
         else:

@@ -1,4 +1,4 @@
-"""A URDF made one that MuJoCo reads, with a line for everything in it that MuJoCo does not look at."""
+"""Conversion of a URDF for MuJoCo, with a note for each kind of ignored element."""
 
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -7,19 +7,19 @@ from collections.abc import Iterator
 from frictionzoo.core.errors import BenchError
 
 _ONCE = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "inertial", "mass", "inertia", "geometry"}
-"""What an element of a URDF has once: URDF's own reader takes the first of several, MuJoCo refuses the file."""
+"""URDF elements that may occur once per parent; urdfdom reads the first of several, MuJoCo refuses the file."""
 _READ = {"link", "joint", "material", "mujoco"}
 _UNREAD_OF_JOINTS = {"safety_controller", "calibration"}
 
 
 def clean(path: str, root: ET.Element) -> Iterator[str]:
-    """Take out of a URDF, in place, what MuJoCo refuses or does not read.
+    """Remove from a URDF, in place, elements that MuJoCo refuses or ignores.
 
     Yields:
-        A line for each kind of it.
+        A note for each kind of ignored element.
 
     Raises:
-        BenchError: It is a macro file.
+        BenchError: The file has xacro macros.
     """
     if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
         raise BenchError(
@@ -43,7 +43,7 @@ def clean(path: str, root: ET.Element) -> Iterator[str]:
 
 
 def _take_first(root: ET.Element) -> Iterator[str]:
-    """Of elements that may stand once, the first: as URDF's own reader (urdfdom) takes them."""
+    """Keep the first of several elements that may occur once, as URDF's reference reader (urdfdom) does."""
     for owner in root.iter():
         once = _ONCE & {"inertial"} if owner.tag == "link" else _ONCE  # a link may have several shapes
         seen = set()

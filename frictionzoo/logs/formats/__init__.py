@@ -1,4 +1,4 @@
-"""Log formats, one a file; the files are looked through, not listed."""
+"""File formats of recordings, one module each; the registry imports the modules of this folder."""
 
 import glob
 from collections.abc import Sequence
@@ -12,15 +12,15 @@ __all__ = ["Format", "find_files", "format_names", "get_format", "read_tables", 
 
 
 def find_files(names: Sequence[str], folder: str | None, source: str | None) -> list[str]:
-    """The files that are meant, each once, in the order in which they are named; those of a glob or folder by name.
+    """Find the named files, each once, in the given order; files of a glob or folder are sorted by name.
 
     Args:
-        names: Paths of files, of folders, or globs, in which `**` means any depth.
-        folder: What relative paths begin at; None for the working directory.
-        source: Where a user obtains files that the package does not bring; None for a user's own.
+        names: Paths of files or folders, or globs, in which `**` means any depth.
+        folder: Folder of relative paths; None for the working directory.
+        source: Where to obtain files that the package does not contain; None for a user's own files.
 
     Raises:
-        LogError: A path leads to no file.
+        LogError: A path matches no file.
     """
     obtain = "set FRICTIONZOO_DATA or data.folder to the folder that holds {} (from {})".format
     if source is not None and folder is None:
@@ -40,7 +40,7 @@ def find_files(names: Sequence[str], folder: str | None, source: str | None) -> 
 
 
 def _expand(path: Path) -> list[Path]:
-    """The files of one path, folder or glob."""
+    """Return the files of one path, folder or glob."""
     if path.is_dir() and not any(get_format(name).claims(path) for name in format_names()):
         return [inner for inner in path.iterdir() if inner.is_file() and not inner.name.startswith(".")]
     if path.exists():
@@ -49,15 +49,15 @@ def _expand(path: Path) -> list[Path]:
 
 
 def read_tables(path: str, format: str) -> list[Table]:
-    """The recordings at a path.
+    """Read the recordings at a path.
 
     Args:
-        path: A file, a folder or an archive.
-        format: A registered name, or `auto` to go by the name and the contents.
+        path: File, folder or archive.
+        format: Registered name, or `auto` to recognise it from name and contents.
 
     Raises:
-        LogError: It cannot be read, holds nothing, or no format is known for it.
-        ConfigError: No such format.
+        LogError: The path cannot be read, is empty or has no known format.
+        ConfigError: The format is not registered.
     """
     place = Path(path).expanduser()
     with parsing(path, "a recording"):
@@ -71,7 +71,7 @@ def read_tables(path: str, format: str) -> list[Table]:
 
 
 def _recognise(path: Path) -> Format:
-    """The format of a path: by its name or a folder's contents, by a file's first bytes where it has no suffix."""
+    """Recognise a format by a path's name or a folder's contents; without a suffix, by a file's first bytes."""
     formats = [get_format(name) for name in format_names()]
     head = b""
     if path.is_file():

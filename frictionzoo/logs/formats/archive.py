@@ -1,4 +1,4 @@
-"""Zip archives of recordings in files of another format, all of one."""
+"""Zip archives of recordings in one other format."""
 
 import hashlib
 from dataclasses import replace
@@ -10,24 +10,24 @@ from frictionzoo.logs.formats.base import Format, get_format, parsing, read_byte
 from frictionzoo.logs.recording import Table
 
 MEMBERS = {".json": "bam", ".csv": "csv"}
-"""Format of an archive's members by how their names end; those that come first are read."""
+"""Format of an archive's members by suffix; only members of the first suffix found are read."""
 
 
 @register_format("zip")
 class Archive(Format):
-    """One table a member: JSON logs of BAM, or CSV files where there are none."""
+    """Zip archive with one table a member: BAM logs in JSON, or CSV files if there are none."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".zip",)
     magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)
 
     def read(self, path: Path) -> list[Table]:
-        """The tables of an archive's members, in the order of their names."""
+        """Read the tables of an archive's members, sorted by name."""
         with parsing(str(path), "a zip of logs"):
             tables = self._read_members(str(path), read_bytes(path))
         return sorted(tables, key=lambda table: table.name)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The table of an archive's only member."""
+        """Return the table of an archive's only member."""
         tables = self._read_members(name, content)
         if len(tables) != 1:
             raise LogError(f"{name}: {len(tables)} recordings, expected one; unpack it")

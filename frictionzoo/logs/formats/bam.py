@@ -1,4 +1,4 @@
-"""Logs of Rhoban BAM: JSON with a header and one entry a sample; one file or a folder of them."""
+"""Logs of Rhoban BAM: JSON with a header and one entry a sample, in one file or a folder."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from frictionzoo.logs.recording import Table
 
 @register_format("bam")
 class Bam(Format):
-    """One table a JSON file: its entries are the columns, its header the fields.
+    """BAM log, one table a JSON file; the entries become columns, the header becomes fields.
 
     Source: github.com/Rhoban/bam, Better Actuator Models.
     """
@@ -21,17 +21,17 @@ class Bam(Format):
     suffixes: ClassVar[tuple[str, ...]] = (".json",)
 
     def claims(self, path: Path) -> bool:
-        """A JSON file, or a folder that holds JSON files."""
+        """Return whether a path is a JSON file or a folder with JSON files."""
         return super().claims(path) or (path.is_dir() and any(path.glob("*.json")))
 
     def read(self, path: Path) -> list[Table]:
-        """The tables of a file or of a folder's files, in the order of their names."""
+        """Read the tables of a file, or of a folder's files sorted by name."""
         if path.is_dir():
             return [table for file in sorted(path.glob("*.json")) for table in super(Bam, self).read(file)]
         return super().read(path)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The entries of one JSON file."""
+        """Return the table of one JSON file."""
         with parsing(name, "a BAM log in JSON"):
             log = parse_json(content)
             entries = log.get("entries") if isinstance(log, dict) else None
@@ -48,9 +48,9 @@ class Bam(Format):
 
 
 def _array(values: Sequence[Any]) -> np.ndarray:
-    """Numbers, NaN for null and for entries that lack them; ValueError where they are neither that nor all booleans."""
+    """Return an array with NaN for null and missing entries; ValueError unless all are numbers or all booleans."""
     kinds = set(map(type, values)) - {type(None)}
-    # True is no number among others, but a column of nothing else is a switch.
+    # Booleans among numbers are an error; a column of booleans only is a switch.
     if not (kinds <= {int, float} or kinds == {bool}):
         place, value = next((i, v) for i, v in enumerate(values) if v is not None and type(v) not in (int, float))
         raise ValueError(f"is {str(value)[:40]!r} ({type(value).__name__}) in entry {place}, expected a number")
@@ -59,7 +59,7 @@ def _array(values: Sequence[Any]) -> np.ndarray:
 
 
 def _fields(log: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str | float]]:
-    """The header's single values; those of an inner object under `OUTER.INNER`."""
+    """Return the header's single values, with `OUTER.INNER` as the name inside an object."""
     found = []
     for key, value in log.items():
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The interface that every format fills, and what keeps a file from asking for more memory than it may."""
+"""Interface of all formats, and limits on the memory that a file may need."""
 
 import hashlib
 import importlib
@@ -20,24 +20,24 @@ from frictionzoo.core.errors import FrictionzooError, LogError
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.logs.recording import Table
 
-LIMIT = 4 << 30  # bytes of one file
-UNPACKED = 1 << 30  # bytes of what a file unpacks to: four signals at 1 kHz over nine hours
-RATIO = 250  # to which a log may be compressed; text of numbers reaches 20, and what is made to fill a disk 1000
-SMALL = 64 << 20  # bytes that may be compressed as far as they go, as columns of one value are
-EXACT = 2**53  # up to which a float holds every whole number
-WHOLE = 2**62  # below which the difference of two whole numbers fits into 64 bits
-HEADER = 30  # least bytes of a zip member before its contents
-WIDE = 256  # columns of a matrix that are still signals
+LIMIT = 4 << 30  # largest size of a file [bytes]
+UNPACKED = 1 << 30  # largest unpacked size [bytes]: four signals at 1 kHz over nine hours
+RATIO = 250  # largest compression ratio of a log; numbers as text reach 20, zip bombs 1000
+SMALL = 64 << 20  # unpacked size [bytes] up to which any ratio is allowed, as for constant columns
+EXACT = 2**53  # a float represents all whole numbers up to this one
+WHOLE = 2**62  # the difference of two whole numbers below this one fits into 64 bits
+HEADER = 30  # least number of bytes before the contents of a zip member
+WIDE = 256  # largest number of columns of a matrix of signals
 
 
 class Format(ABC):
-    """How one kind of file becomes tables.
+    """Reader of one file format.
 
     Attributes:
-        name: Set by `register_format`.
-        suffixes: How the names of its files end, in lower case.
-        magic: First bytes of its files. A file without a suffix is known by them; one whose suffix and first bytes are
-            of different formats is refused.
+        name: Registered name, set by `register_format`.
+        suffixes: Suffixes of its files, in lower case.
+        magic: First bytes of its files. They identify files without a suffix; a file whose suffix and first bytes
+            belong to different formats is refused.
     """
 
     name: ClassVar[str]
@@ -45,39 +45,39 @@ class Format(ABC):
     magic: ClassVar[tuple[bytes, ...]] = ()
 
     def claims(self, path: Path) -> bool:
-        """Whether a path's name, or a folder's contents, say that it is of this format."""
+        """Return whether a path has this format by its name, or by its contents for a folder."""
         return path.is_file() and path.suffix.lower() in self.suffixes
 
     def read(self, path: Path) -> list[Table]:
-        """The tables of a path; LogError where it cannot be read or is not of this format."""
+        """Read the tables of a path; LogError if it cannot be read or has another format."""
         content = read_bytes(path)
         return [replace(self.parse(str(path), content), sha256=hashlib.sha256(content).hexdigest())]
 
     @abstractmethod
     def parse(self, name: str, content: bytes) -> Table:
-        """The table in a file's bytes, which have this name in messages.
+        """Parse the bytes of a file to a table; `name` is for messages.
 
         Raises:
-            LogError: They are not of this format, or damaged.
+            LogError: The bytes have another format or are damaged.
         """
 
 
 REGISTRY = Registry(KINDS["formats"], Format, "parse")
 
 register_format = REGISTRY.register
-"""Class decorator that makes a format available as `data.format=NAME`, as `Registry.register`."""
+"""Class decorator that registers a format as `data.format=NAME`, see `Registry.register`."""
 
 format_names: Callable[[], list[str]] = REGISTRY.names
 """Names of all formats, sorted."""
 
 
 def get_format(name: str) -> Format:
-    """The format of that name; ConfigError where there is none, two packages bring it, or it is broken."""
+    """Return a format by name; ConfigError if it is unknown, broken or registered by two packages."""
     return REGISTRY.get(name)()
 
 
 def read_bytes(path: Path) -> bytes:
-    """A file's bytes; LogError where there are none or too many."""
+    """Read the bytes of a file; LogError if it cannot be read or is too large."""
     try:
         check_size(str(path), path.stat().st_size)
         return path.read_bytes()
@@ -88,13 +88,13 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_size(name: str, size: int) -> None:
-    """LogError where a file's size cannot be that of a recording [bytes]."""
+    """Refuse a file size above `LIMIT` [bytes] with a LogError."""
     if size > LIMIT:
         raise LogError(f"{name}: {size / 1e9:.1f} GB, expected at most {LIMIT / 1e9:.1f} GB; cut it into shorter logs")
 
 
 def check_unpacked(name: str, size: int, packed: int | None = None) -> None:
-    """LogError where what a file unpacks to [bytes] cannot be a recording; packed is None where many may be of few."""
+    """Refuse an implausible unpacked size [bytes] with a LogError; `packed=None` allows any compression ratio."""
     if size > UNPACKED:
         most = f"{UNPACKED / 1e9:.1f} GB"
         raise LogError(f"{name}: {size / 1e9:.1f} GB unpacked, expected at most {most}; cut it into shorter logs")
@@ -107,32 +107,32 @@ def check_unpacked(name: str, size: int, packed: int | None = None) -> None:
 
 @contextmanager
 def parsing(name: str, what: str) -> Iterator[None]:
-    """Turn whatever a library raises on damaged bytes into one line."""
+    """Convert any error of a library on damaged bytes to a LogError of one line."""
     try:
         yield
     except FrictionzooError:
         raise
     except MemoryError:
         raise LogError(f"{name}: does not fit into memory; expected {what}; cut it into shorter logs") from None
-    # Parsers raise errors of many kinds on damaged files (ValueError, TypeError, zlib.error, RecursionError, ...).
+    # Parsers raise many types of errors on damaged files (ValueError, TypeError, zlib.error, RecursionError, ...).
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise LogError(f"{name}: not readable as {what} ({reason}); copy or export it again") from None
 
 
 def unzip(name: str, content: bytes, suffix: str) -> Iterator[tuple[str, bytes]]:
-    """The members of a zip archive whose names end in a suffix, such as `.npy`, in its order: their names and bytes.
+    """Yield names and bytes of the members of a zip archive with a suffix such as `.npy`, in the archive's order.
 
-    No more is unpacked than the archive says, and its checksums are checked.
+    Unpacking stops at the size that the archive declares; checksums are verified.
 
     Raises:
-        LogError: Two members have one name or share bytes, or it is or unpacks to too much.
-        zipfile.BadZipFile: It is damaged.
+        LogError: Two members have one name or share bytes, or a member's compression or size is not allowed.
+        zipfile.BadZipFile: The archive is damaged.
     """
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         _refuse_overlaps(name, archive)
         for member in archive.infolist():
-            archive.open(member).close()  # sees that its name is the same twice: a damaged one may end otherwise
+            archive.open(member).close()  # raises if index and header differ: a damaged name may lose its suffix
         members = [member for member in archive.infolist() if member.filename.endswith(suffix)]
         twice = [member for member, count in Counter(member.filename for member in members).items() if count > 1]
         if twice:
@@ -143,7 +143,7 @@ def unzip(name: str, content: bytes, suffix: str) -> Iterator[tuple[str, bytes]]
 
 
 def _refuse_overlaps(name: str, archive: zipfile.ZipFile) -> None:
-    """LogError where members share bytes, so that few of them unpack to any number."""
+    """Refuse members that share bytes, which would allow any unpacked size, with a LogError."""
     end = 0
     for member in sorted(archive.infolist(), key=lambda member: member.header_offset):
         if member.header_offset < end:
@@ -154,8 +154,8 @@ def _refuse_overlaps(name: str, archive: zipfile.ZipFile) -> None:
 
 
 def _unpack(name: str, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """The bytes of one member."""
-    # Others are unpacked by Python without a bound.
+    """Unpack one member."""
+    # Python unpacks other methods without a size limit.
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise LogError(f"{name}: packed by method {member.compress_type}, expected deflate or none; zip it again")
     with archive.open(member) as stream:
@@ -166,7 +166,7 @@ def _unpack(name: str, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> byt
 
 
 def parse_json(content: bytes) -> Any:
-    """What JSON says; ValueError where an object has a key twice, of which Python would take the last."""
+    """Parse JSON; ValueError for a repeated key in an object, where Python would keep the last."""
     return json.loads(content, object_pairs_hook=_unique)
 
 
@@ -179,7 +179,7 @@ def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def optional(module: str, package: str, name: str) -> ModuleType:
-    """A module of a package that not every user needs; LogError where it is not installed, which says how to do it."""
+    """Import a module of an optional package; LogError with installation advice if it is missing."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -192,9 +192,9 @@ def tabulate(
     fields: Mapping[str, str | float] | None = None,
     refused: Mapping[str, str] | None = None,
 ) -> Table:
-    """A table from named arrays, numbers and texts: columns from vectors and matrices, fields from single values.
+    """Return a table from named values: vectors and matrices become columns, single numbers and texts become fields.
 
-    It has the given fields besides, and refuses what is refused already. LogError where two columns have one name.
+    `fields` and `refused` are added to the table's. LogError if two columns have one name.
     """
     columns, refused, units, kept = {}, dict(refused or {}), {}, dict(fields or {})
     for header, given in variables.items():
@@ -226,19 +226,19 @@ def tabulate(
 
 
 def _columns(header: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """A vector as it is, a matrix one column a signal, whichever way it stands."""
+    """Return a vector as one column, and a matrix as one column a signal, in either orientation."""
     if values.ndim == 1 or 1 in values.shape:
         return {header: to_numbers(values.ravel())}
-    # Samples are many and signals few.
+    # Assume more samples than signals.
     rows = values.T if values.shape[0] >= values.shape[1] else values
     return {f"{header}[{place}]": to_numbers(row) for place, row in enumerate(rows)}
 
 
 def to_numbers(values: np.ndarray) -> np.ndarray:
-    """Numbers, or objects of Python's that are whole numbers, as float64, or as int64 where that would round them.
+    """Convert numbers or Python integers to float64, or to int64 if float64 would round them.
 
     Raises:
-        ValueError: A whole number is too large for either; the text goes on from a column's name.
+        ValueError: A whole number is too large for both; the message continues after a column's name.
     """
     largest = max(int(values.max()), -int(values.min())) if values.dtype.kind in "iuO" and values.size else 0
     if largest >= WHOLE:

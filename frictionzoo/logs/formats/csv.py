@@ -19,12 +19,12 @@ DIGITS = re.compile(r"\s*[+-]?\d{1,40}\s*")  # a whole number
 
 @register_format("csv")
 class Csv(Format):
-    """Columns of numbers; an empty cell is a sample that is missing, and columns of text are left out."""
+    """CSV file with columns of numbers; an empty cell is a missing sample, and columns of text are left out."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".csv",)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The columns in a file's text, whose first row is the header."""
+        """Return the table of a file's text, whose first row is the header."""
         reader = csv.reader(io.StringIO(_decode(name, content), newline=""), strict=True)
         lines, rows = [], []
         try:
@@ -44,7 +44,7 @@ class Csv(Format):
 
 
 def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Sequence[Sequence[str]]) -> Table:
-    """Columns that are numbers, and why the others are none."""
+    """Return a table of the numeric columns, with error messages for the others."""
     columns, refused = {}, {}
     counts = Counter(headers)
     for header, column in zip(headers, cells, strict=True):
@@ -64,7 +64,7 @@ def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Se
 
 
 def _decode(name: str, content: bytes) -> str:
-    """The file's text, without the byte-order mark that spreadsheets write."""
+    """Decode UTF-8 text without the byte-order mark that spreadsheets write."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -76,18 +76,18 @@ def _decode(name: str, content: bytes) -> str:
 
 
 def _numbers(cells: Sequence[str]) -> Real[np.ndarray, "rows"]:
-    """Cells as numbers; ValueError where one is none, or a whole number is too large to be exact."""
+    """Convert cells to numbers; ValueError if one is not a number, or a whole number is too large to be exact."""
     if not _is_plain("".join(cells)):
         raise ValueError
     values = np.array([float(cell or "nan") for cell in cells])
-    # Whole numbers that a float would round: nanoseconds since 1970.
+    # A float would round whole numbers such as nanoseconds since 1970.
     if (np.abs(values) > EXACT).any() and all(DIGITS.fullmatch(cell) for cell in cells):
         return to_numbers(np.array([int(cell) for cell in cells], dtype=object))
     return values
 
 
 def _is_plain(text: str) -> bool:
-    """Whether Python reads no more numbers in it than loggers write: not 1_000, nor the digits of other scripts."""
+    """Return whether a text is free of numbers that only Python reads: 1_000, or digits of other scripts."""
     return text.isascii() and "_" not in text
 
 

@@ -1,4 +1,4 @@
-"""LeRobot data sets: a folder of Parquet files with one episode after the other."""
+"""LeRobot data sets: folders of Parquet files with consecutive episodes."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,17 +18,17 @@ INFO = Path("meta") / "info.json"
 
 @register_format("lerobot")
 class LeRobot(Format):
-    """One table an episode; entries of `observation.state` and `action` carry the names that `meta/info.json` gives.
+    """LeRobot data set, one table an episode; `meta/info.json` names the entries of `observation.state` and `action`.
 
-    Versions 2 and 3, which differ in how many episodes a file holds.
+    Supports versions 2 and 3, which differ in the number of episodes a file.
     """
 
     def claims(self, path: Path) -> bool:
-        """A folder with `meta/info.json`."""
+        """Return whether a path is a folder with `meta/info.json`."""
         return (path / INFO).is_file()
 
     def read(self, path: Path) -> list[Table]:
-        """The episodes of a folder, in the order of their files."""
+        """Read the episodes of a folder, in the order of its files."""
         names, fields = _info(path)
         files = sorted(path.glob("data/chunk-*/*.parquet"))
         if not files:
@@ -36,13 +36,13 @@ class LeRobot(Format):
         return [table for file in files for table in _episodes(path, file, names, fields)]
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The frames of one file, whatever their episodes."""
+        """Return one table of all frames in a file, of any episode."""
         columns, refused = read_columns(name, content)
         return tabulate(name, columns, refused=refused)
 
 
 def _info(path: Path) -> tuple[dict[str, list[str]], dict[str, str | float]]:
-    """Names of each feature's entries, and what the data set says of all its episodes."""
+    """Read the names of each feature's entries, and the fields of all episodes."""
     file = path / INFO
     with parsing(str(file), "the description of a LeRobot data set"):
         info = parse_json(read_bytes(file))
@@ -52,7 +52,7 @@ def _info(path: Path) -> tuple[dict[str, list[str]], dict[str, str | float]]:
 
 
 def _names(given: Any) -> list[str]:
-    """A list of names, which older data sets put under the name of an axis, or into a list, or number."""
+    """Return a list of names; older data sets store them under an axis name, in a nested list, or with numbers."""
     if isinstance(given, dict):
         if given and all(isinstance(place, int) for place in given.values()):
             return [str(name) for name in sorted(given, key=given.__getitem__)]
@@ -65,7 +65,7 @@ def _names(given: Any) -> list[str]:
 def _episodes(
     path: Path, file: Path, names: Mapping[str, Sequence[str]], fields: Mapping[str, str | float]
 ) -> Iterator[Table]:
-    """One table for each episode of a file."""
+    """Yield one table for each episode of a file."""
     content = read_bytes(file)
     with parsing(str(file), "episodes of a LeRobot data set"):
         stored, refused = read_columns(str(file), content)
@@ -78,7 +78,7 @@ def _episodes(
 
 
 def _named(file: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
-    """Matrices as one column an entry, under their names."""
+    """Split matrices into one named column an entry."""
     found = {}
     for header, values in columns.items():
         known = names.get(header, ())

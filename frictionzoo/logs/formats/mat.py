@@ -1,4 +1,4 @@
-"""MATLAB files of version 4 to 7, through SciPy."""
+"""MATLAB files of version 4 to 7, read by SciPy."""
 
 import io
 import struct
@@ -13,26 +13,26 @@ from frictionzoo.logs.recording import Table
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 HEADER = 128  # bytes before the first variable of a version 5 file
-COMPRESSED = 15  # type of a variable that is packed
-HEADER_4 = struct.Struct("5i")  # of a variable of version 4: kind, rows, columns, whether complex, length of the name
-BYTES_4 = (8, 4, 4, 2, 2, 1)  # of a number, by its type
-BLOCK = 1 << 20  # bytes that are unpacked at a time to count them
+COMPRESSED = 15  # type of a compressed variable
+HEADER_4 = struct.Struct("5i")  # header of a version 4 variable: kind, rows, columns, complex or not, length of name
+BYTES_4 = (8, 4, 4, 2, 2, 1)  # size of a number by its type [bytes]
+BLOCK = 1 << 20  # bytes unpacked at a time
 
 
 @register_format("mat")
 class Mat(Format):
-    """Each vector is a column, each matrix one column a signal, each single value a field; objects are left out."""
+    """MATLAB file: a vector is a column, a matrix one column a signal, a single value a field; objects are left out."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
     magic: ClassVar[tuple[bytes, ...]] = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The variables in a file's bytes."""
+        """Return the table of the variables in a file."""
         if HDF5 in content[:1024] or content.startswith(b"MATLAB 7.3"):
             raise LogError(f"{name}: a MATLAB 7.3 file, expected version 7 or below; in MATLAB: save(..., '-v7')")
         with parsing(name, "a MATLAB file"):
             _check_sizes(name, content)
-            # Only numbers and texts: functions, objects and cells are never read.
+            # Read numbers and texts only, never functions, objects or cells.
             kinds: dict[str, str] = {}
             for variable, _, kind in scipy.io.whosmat(io.BytesIO(content)):
                 if variable in kinds:
@@ -54,7 +54,7 @@ KINDS = frozenset(
 
 
 def _check_sizes(name: str, content: bytes) -> None:
-    """See that each variable has the bytes that it declares, and that packed ones, of version 5 on, are intact."""
+    """Check that each variable has its declared size, and that compressed ones (version 5 and later) are intact."""
     if 0 in content[:4]:  # version 5 begins with text
         _check_sizes_4(name, content)
         return
@@ -73,7 +73,7 @@ def _check_sizes(name: str, content: bytes) -> None:
 
 
 def _check_sizes_4(name: str, content: bytes) -> None:
-    """See that each variable of a version 4 file has the bytes that it declares, in the order that SciPy takes."""
+    """Check that each variable of a version 4 file has its declared size, with the byte order that SciPy uses."""
     order = "<" if struct.unpack_from("<i", content)[0] in range(5000) else ">"
     place = 0
     while place < len(content):
@@ -97,12 +97,12 @@ def _check_sizes_4(name: str, content: bytes) -> None:
 
 
 def _unpacked_size(name: str, packed: memoryview, order: str) -> int:
-    """Bytes that a variable unpacks to, once they are seen to be as many as it says, with the right checksum."""
+    """Return the unpacked size of a variable [bytes]; LogError if it differs from the declared size."""
     zipped = zlib.decompressobj()
     _, declared = struct.unpack(f"{order}II", zipped.decompress(packed, 8))
     check_unpacked(name, declared, len(packed))
     came, rest = 0, True
-    # To the end, where the checksum is, which SciPy leaves alone.
+    # Unpack to the end: the checksum there is not verified by SciPy.
     while rest and not zipped.eof and came <= declared:
         piece = zipped.decompress(zipped.unconsumed_tail, BLOCK)
         came, rest = came + len(piece), bool(piece or zipped.unconsumed_tail)

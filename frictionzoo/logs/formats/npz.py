@@ -1,4 +1,4 @@
-"""NumPy archives of named arrays; what would have to be unpickled is left out."""
+"""NumPy archives of named arrays; arrays of Python objects are refused."""
 
 import io
 from typing import ClassVar
@@ -14,13 +14,13 @@ HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.re
 
 @register_format("npz")
 class Npz(Format):
-    """Each vector is a column, each matrix one column a signal, each single value a field."""
+    """NumPy archive: a vector is a column, a matrix one column a signal, a single value a field."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".npz",)
     magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The arrays in an archive's bytes."""
+        """Return the table of the arrays in an archive."""
         with parsing(name, "an .npz archive"):
             members = unzip(name, content, ".npy")
             arrays = {member[: -len(".npy")]: _array(f"{name}!{member}", held) for member, held in members}
@@ -28,7 +28,7 @@ class Npz(Format):
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
-    """One array, once its declared shape is seen to fit the bytes that there are."""
+    """Read one array, after checking that its declared shape matches the number of bytes."""
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     if version not in HEADERS:

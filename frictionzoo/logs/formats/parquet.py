@@ -1,4 +1,4 @@
-"""Parquet files, through Arrow."""
+"""Parquet files, read by Arrow."""
 
 import io
 from typing import Any, ClassVar
@@ -14,29 +14,29 @@ LISTS = ("list", "large_list", "fixed_size_list")
 
 @register_format("parquet")
 class Parquet(Format):
-    """Each numeric column is a column, each column of lists of one length one column an entry."""
+    """Parquet file: a numeric column is a column, a column of lists of equal length one column an entry."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq")
     magic: ClassVar[tuple[bytes, ...]] = (b"PAR1",)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The columns in a file's bytes."""
+        """Return the table of the columns in a file."""
         columns, refused = read_columns(name, content)
         return tabulate(name, columns, refused=refused)
 
 
 def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Arrays of a Parquet file by column, lists as matrices; and why others, neither number, time nor list, are none.
+    """Read the columns of a Parquet file as arrays, lists as matrices, and return error messages for unusable columns.
 
     Raises:
-        LogError: It is damaged, or pyarrow is not installed.
+        LogError: The file is damaged, or pyarrow is not installed.
     """
     parquet = optional("pyarrow.parquet", "pyarrow", name)
     with parsing(name, "a Parquet file"):
         file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
         groups = [file.metadata.row_group(place) for place in range(file.metadata.num_row_groups)]
         rows, sizes = file.metadata.num_rows, [group.total_byte_size for group in groups]
-        # A column of one value packs into a few bytes however long it is, so that the rows are counted as well.
+        # Count rows too: a constant column of any length needs only a few bytes.
         check_unpacked(name, max(sum(sizes), 8 * rows * file.metadata.num_columns))
         if min([rows, *sizes]) < 0 or rows != sum(group.num_rows for group in groups):
             raise LogError(f"{name}: its sizes contradict each other, expected a Parquet file; export it again")
@@ -55,18 +55,18 @@ def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict
 
 
 def _is(kind: Any, *names: str) -> bool:
-    """Whether an Arrow type is one of these."""
+    """Return whether an Arrow type is one of these."""
     types = optional("pyarrow.types", "pyarrow", "parquet")
     return any(getattr(types, f"is_{name}")(kind) for name in names)
 
 
 def _is_numeric(kind: Any) -> bool:
-    """Whether an Arrow type is a number, a time, or a list of numbers."""
+    """Return whether an Arrow type is a number, a time, or a list of either."""
     return _is(kind.value_type if _is(kind, *LISTS) else kind, "integer", "floating", "boolean", "timestamp")
 
 
 def _array(column: Any) -> np.ndarray:
-    """A column as a vector, or lists of one length as a matrix; missing numbers as NaN."""
+    """Return a column as a vector, or lists of equal length as a matrix; missing numbers are NaN."""
     if not _is(column.type, *LISTS):
         return _vector(column)
     entries = _vector(column.flatten())

@@ -1,7 +1,7 @@
-"""ROS 2 recordings, rosbag2 folders and MCAP files, through rosbags.
+"""ROS 2 recordings, as rosbag2 folders or MCAP files, read by rosbags.
 
-Messages are read by the definitions of ROS's own packages only. A recording brings definitions of its own, but rosbags
-makes program code of them and runs it, which no recording may ask for.
+Only message definitions of ROS's standard packages are used. Definitions inside a recording are ignored, because
+rosbags turns them into Python code and runs it.
 """
 
 import hashlib
@@ -25,24 +25,24 @@ from frictionzoo.logs.recording import Table
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE, CHUNK, CHUNK_INDEX = 5, 6, 8  # kinds of MCAP records
-STORAGES = (".mcap", ".db3")  # by which rosbags tells them apart
-FOOTER = struct.Struct("<BQQQI")  # kind and size, where the summary and its index begin, checksum of the summary
-BLOCK = 1 << 20  # bytes that are read at a time
-JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # what sensor_msgs/JointState lays down
-OF_JOINTS = (*JOINT_UNITS, "positions", "velocities", "accelerations")  # which have an entry a name, or none
-ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"  # as rosbags has it
-LONGEST = 2**20  # entries of one array in one message
+STORAGES = (".mcap", ".db3")  # suffixes by which rosbags recognises storages
+FOOTER = struct.Struct("<BQQQI")  # kind, size, start of the summary, start of its index, checksum of the summary
+BLOCK = 1 << 20  # bytes read at a time
+JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # as sensor_msgs/JointState specifies
+OF_JOINTS = (*JOINT_UNITS, "positions", "velocities", "accelerations")  # one entry a name, or empty
+ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"  # as in rosbags
+LONGEST = 2**20  # most entries of an array in a message
 
 
 class Ros(Format):
-    """One table a recording: a column `TOPIC/FIELD` for each number, `TOPIC/FIELD[NAME]` for each entry of an array.
+    """ROS 2 recording with a column `TOPIC/FIELD` for each number and `TOPIC/FIELD[NAME]` for each entry of an array.
 
-    Each topic has its own time [ns], `TOPIC/time`: that of the messages' headers where all of them have one, else when
-    they were received. A column that only some of its messages hold has its own, `TOPIC/FIELD[NAME]/time`.
+    Each topic has a time column `TOPIC/time` [ns]: the header stamps if all messages have one, otherwise the times of
+    reception. A column that is missing in some messages has a separate time column, `TOPIC/FIELD[NAME]/time`.
     """
 
     def read(self, path: Path) -> list[Table]:
-        """The table of a recording."""
+        """Read the table of a recording."""
         reader = optional("rosbags.rosbag2", "rosbags", str(path))
         typesys = optional("rosbags.typesys", "rosbags", str(path))
         with parsing(str(path), "a ROS 2 recording"):
@@ -64,13 +64,13 @@ class Ros(Format):
                 return [replace(_read(str(path), bag, store), sha256=sha256.hexdigest())]
 
     def parse(self, name: str, content: bytes) -> Table:
-        """Recordings are read from their files only."""
+        """Raise LogError: ROS 2 recordings are read from files or folders only."""
         raise LogError(f"{name}: a ROS 2 recording in an archive, expected a file or a folder; unpack it")
 
 
 @register_format("mcap")
 class Mcap(Ros):
-    """A single MCAP file."""
+    """MCAP file."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".mcap",)
     magic: ClassVar[tuple[bytes, ...]] = (MAGIC,)
@@ -78,24 +78,24 @@ class Mcap(Ros):
 
 @register_format("ros2bag")
 class Ros2Bag(Ros):
-    """A rosbag2 folder, or one of its SQLite files."""
+    """Rosbag2 folder, or a SQLite file of one."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".db3",)
     magic: ClassVar[tuple[bytes, ...]] = (b"SQLite format 3\0",)
 
     def claims(self, path: Path) -> bool:
-        """A folder with `metadata.yaml`, or a database of one."""
+        """Return whether a path is a folder with `metadata.yaml` or a SQLite file."""
         return super().claims(path) or (path / "metadata.yaml").is_file()
 
 
 @dataclass
 class Topic:
-    """What was read of one topic.
+    """Samples of one topic.
 
     Attributes:
-        received: When each sample was received [ns].
-        stamped: When each was measured by its header [ns], 0 where that is not set.
-        samples: By column: the places in these lists, and the values.
+        received: Time of reception of each sample [ns].
+        stamped: Header stamp of each sample [ns]; 0 if not set.
+        samples: Indices into these lists and values, by column.
     """
 
     received: list[int] = field(default_factory=list)
@@ -103,7 +103,7 @@ class Topic:
     samples: dict[str, tuple[list[int], list[float]]] = field(default_factory=lambda: defaultdict(lambda: ([], [])))
 
     def add(self, message: Any, received: int) -> None:
-        """Take a message's numbers as one sample; a trajectory's points as one each."""
+        """Add a message as one sample, or a trajectory as one sample a point."""
         stamped = _nanoseconds(message.header.stamp) if hasattr(message, "header") else 0
         names = _names(message)
         points = getattr(message, "points", None) if names else None
@@ -125,7 +125,7 @@ class Topic:
         self.stamped.append(stamped)
 
     def columns(self, topic: str) -> Iterator[tuple[str, str, np.ndarray, list[float]]]:
-        """For each column its header, that of its time, its time and its values."""
+        """Yield header, header of the time column, times [ns] and values of each column."""
         time = np.array(self.stamped if all(self.stamped) else self.received, dtype=np.int64)
         for header, (places, values) in self.samples.items():
             whole = len(places) == len(time)
@@ -134,7 +134,7 @@ class Topic:
 
 
 def _read(name: str, bag: Any, store: Any) -> Table:
-    """The numbers of all messages whose type is known."""
+    """Read the numbers of all messages of a known type."""
     known = [connection for connection in bag.connections if connection.msgtype in store.types]
     wanted = "expected one of ROS's own packages; record it as JointState or Float64MultiArray, or export it as CSV"
     refused = {
@@ -171,13 +171,13 @@ def _nanoseconds(stamp: Any) -> int:
 
 
 def _names(message: Any) -> list[str]:
-    """Names of the joints of a message; none where it has none."""
+    """Return the joint names of a message; empty if it has none."""
     names = getattr(message, "name", None) or getattr(message, "joint_names", None)
     return names if isinstance(names, list) else []
 
 
 def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, float]]:
-    """The numbers in a message, with the path of their fields; texts, headers and what is too wide are left out."""
+    """Yield the numbers in a message with their field paths; texts, headers and wide arrays are left out."""
     if isinstance(value, int | float | np.number):
         yield path, value.item() if isinstance(value, np.number) else value
     elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= base.WIDE:
@@ -192,9 +192,9 @@ def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, flo
 
 
 def _check(file: Path) -> None:
-    """See that reading a file stays within bounds and that the messages of each topic are in the order of their times.
+    """Check that a file is not too large and that the messages of each topic are in order of time.
 
-    rosbags sorts them, which leaves no trace of a clock that was set back.
+    rosbags sorts messages, which hides a clock that was set back.
     """
     name, size = str(file), file.stat().st_size
     base.check_size(name, size)
@@ -204,14 +204,14 @@ def _check(file: Path) -> None:
             _refuse_backwards(name, _scan(name, stream, size))
     else:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
-            # A view may take forever to read, and no recorder makes one.
+            # Reading a view may never end, and no recorder creates one.
             if database.execute("SELECT count(*) FROM sqlite_master WHERE type = 'view'").fetchone()[0]:
                 raise LogError(f"{file}: a database with views, expected the tables of rosbag2; record it again")
             _refuse_backwards(name, database.execute("SELECT topic_id, timestamp FROM messages ORDER BY id"))
 
 
 def _refuse_backwards(name: str, messages: Iterable[tuple[int, int]]) -> None:
-    """LogError where a topic's messages, each with the topic's number, were received before those before them [ns]."""
+    """Refuse messages, given as topic number and time [ns], that go backwards within a topic, with a LogError."""
     last: dict[int, int] = {}
     for topic, received in messages:
         before = last.get(topic, received)
@@ -224,7 +224,7 @@ def _refuse_backwards(name: str, messages: Iterable[tuple[int, int]]) -> None:
 
 
 def _check_summary(name: str, stream: BinaryIO, size: int) -> None:
-    """See that the index at a file's end is what its checksum says, where it has one; rosbags does not."""
+    """Verify the checksum of the index at a file's end, if it has one; rosbags does not."""
     if size < len(MAGIC) + FOOTER.size or stream.read(len(MAGIC)) != MAGIC:
         raise LogError(f"{name}: does not begin as an MCAP file, expected one; copy or record it again")
     stream.seek(size - len(MAGIC) - FOOTER.size)
@@ -239,7 +239,7 @@ def _check_summary(name: str, stream: BinaryIO, size: int) -> None:
 
 
 def _scan(name: str, stream: BinaryIO, size: int) -> Iterator[tuple[int, int]]:
-    """Channel and time of each message of an MCAP file [ns]; LogError where bytes or chunks that it names lack."""
+    """Yield channel and time [ns] of each message of an MCAP file; LogError if bytes or chunks are missing."""
     place, total, indices = len(MAGIC), 0, 0
     while place < size - len(MAGIC):
         stream.seek(place)
@@ -260,7 +260,7 @@ def _scan(name: str, stream: BinaryIO, size: int) -> Iterator[tuple[int, int]]:
 
 
 def _messages(records: bytes) -> Iterator[tuple[int, int]]:
-    """Channel and time of each message in a chunk [ns]."""
+    """Yield channel and time [ns] of each message in a chunk."""
     place = 0
     while place < len(records):
         kind, length = struct.unpack_from("<BQ", records, place)
@@ -270,7 +270,7 @@ def _messages(records: bytes) -> Iterator[tuple[int, int]]:
 
 
 def _unpack(name: str, chunk: bytes) -> bytes:
-    """A chunk's contents, once they are seen to unpack to no more than they say."""
+    """Unpack a chunk; LogError if its size differs from the declared one."""
     size, _, letters = struct.unpack_from("<QII", chunk, 16)
     compression = chunk[32 : 32 + letters].decode()
     packed = chunk[40 + letters :]
@@ -280,7 +280,7 @@ def _unpack(name: str, chunk: bytes) -> bytes:
     elif compression == "lz4":
         decompressor = optional("lz4.frame", "rosbags", name).LZ4FrameDecompressor()
     else:
-        return packed  # which rosbags refuses unless it is not compressed at all
+        return packed  # rosbags refuses any other compression
     unpacked = decompressor.decompress(packed, size + 1)
     if len(unpacked) != size or decompressor.unused_data:
         raise LogError(f"{name}: a chunk does not unpack to the {size} bytes that it declares; copy or record it again")

@@ -1,1 +1,1 @@
-"""The friction law of Makkar, Dixon, Sawyer and Hu for frictionzoo."""
+"""Friction model of Makkar, Dixon, Sawyer and Hu for frictionzoo."""

@@ -1,4 +1,4 @@
-"""Friction with a Stribeck effect that has derivatives of every order, also where the direction changes."""
+"""Friction with a Stribeck effect, differentiable to every order, also where the direction changes."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,15 +14,15 @@ class Makkar(FrictionModel):
     torque = g1 (tanh(g2 v) - tanh(g3 v)) + g4 tanh(g5 v) + g6 v
 
         v   joint velocity [rad/s or m/s]
-        g1  stribeck_torque [N m or N], by which static friction exceeds Coulomb friction where g2 >> g3
-        g2  stribeck_rise [s/rad or s/m], how steeply that excess sets in with speed; as g5 known by default, for both
-            smooth the sign, which belongs to the simulation rather than to the drive
-        g3  stribeck_decay [s/rad or s/m], how steeply it is lost again; the excess is gone from about v = 2 / g3
+        g1  stribeck_torque [N m or N], excess of static over Coulomb friction for g2 >> g3
+        g2  stribeck_rise [s/rad or s/m], steepness with which the excess sets in; fixed by default, like g5, because
+            both smooth the sign, which is a property of the simulation rather than of the drive
+        g3  stribeck_decay [s/rad or s/m], steepness with which the excess decays; it vanishes from about v = 2 / g3
         g4  coulomb_torque [N m or N]
-        g5  coulomb_rise [s/rad or s/m], how steeply the sign changes
+        g5  coulomb_rise [s/rad or s/m], steepness of the change of sign
         g6  viscous_coefficient [N m s/rad or N s/m]
 
-    It opposes the motion as long as g2 >= g3, which the bounds of its configuration hold.
+    It opposes the motion if g2 >= g3, which the bounds of its configuration ensure.
 
     Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction that lags the velocity or
     depends on direction, load or position.
@@ -43,7 +43,7 @@ class Makkar(FrictionModel):
     dissipative = True
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
-        """The explicit torque."""
+        """Return the explicit torque."""
         velocity = state.qvel
         excess = xp.tanh(values["stribeck_rise"] * velocity) - xp.tanh(values["stribeck_decay"] * velocity)
         coulomb = values["coulomb_torque"] * xp.tanh(values["coulomb_rise"] * velocity)

@@ -1,4 +1,4 @@
-"""Viscous friction and a network of parts that exist in torch alone."""
+"""Viscous friction and a network whose layers exist only in torch."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from frictionzoo.models import TorchFriction, register_model
 
 @register_model("layer_norm_network")
 class LayerNormNetwork(TorchFriction):
-    """Viscous friction, and a network with layer normalisation for the rest.
+    """Viscous friction, and a network with layer normalisation for the residual torque.
 
     torque = d v + s N(x),  x = (q, v, a, tau_e) over their root mean square in the training data
 
@@ -21,21 +21,21 @@ class LayerNormNetwork(TorchFriction):
         s      standard deviation of the actuator's torque in the training data [N m or N]
         q      joint position [rad or m]
         a      command, in the actuator's unit
-        tau_e  torque of everything but actuator and friction [N m or N]
+        tau_e  torque of everything except actuator and friction [N m or N]
 
     N is a linear layer, layer normalisation, the activation GELU, and a linear layer; it starts near zero.
 
-    Cannot represent: sticking, a memory, coupling between joints. It may give energy to the drive, and d and the
-    network can stand for each other.
+    Cannot represent: sticking, memory, coupling between joints. It can add energy to the drive. The network can take
+    over the torque of d, and d the torque of the network.
 
     Source: J. L. Ba, J. R. Kiros, G. E. Hinton, "Layer Normalization", 2016; D. Hendrycks, K. Gimpel, "Gaussian Error
-    Linear Units (GELUs)", 2016; the sum is an example's.
+    Linear Units (GELUs)", 2016; the sum is this example's.
 
     Args:
         nv: Number of joints.
-        width: Of the hidden layer.
-        seed: Of the initial weights.
-        params: Section of each physical parameter.
+        width: Width of the hidden layer.
+        seed: Seed of the initial weights.
+        params: Settings of each physical parameter.
     """
 
     dimensions = {"viscous_coefficient": "damping"}
@@ -45,7 +45,7 @@ class LayerNormNetwork(TorchFriction):
 
     def __init__(self, nv: int, width: int, seed: int, params: Mapping[str, Mapping[str, Any]]) -> None:
         super().__init__(nv, params)
-        with torch.random.fork_rng():  # torch's global generator is not touched
+        with torch.random.fork_rng():  # leave torch's global generator unchanged
             torch.manual_seed(seed)
             last = torch.nn.Linear(width, 1)
             self.network = torch.nn.Sequential(
@@ -54,7 +54,7 @@ class LayerNormNetwork(TorchFriction):
         with torch.no_grad():
             last.weight.mul_(0.01)
             last.bias.zero_()
-        # What comes from the data is a buffer, so that a saved state is complete.
+        # Buffers, because a saved state must contain these values from the data.
         self.register_buffer("input_size", torch.ones(4))
         self.register_buffer("torque_scale", torch.ones(()))
 
@@ -65,7 +65,7 @@ class LayerNormNetwork(TorchFriction):
         self.torque_scale.fill_(float(np.std(samples.motor_torque)) or 1.0)
 
     def forward(self, state: DriveState) -> FrictionTerms:
-        """The explicit torque."""
+        """Return the explicit torque."""
         seen = torch.stack(_inputs(state), dim=-1) / self.input_size
         learned = self.torque_scale * self.network(seen).squeeze(-1)
         return FrictionTerms(torque=self.viscous_coefficient * state.qvel + learned)

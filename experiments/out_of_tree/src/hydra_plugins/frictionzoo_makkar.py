@@ -1,4 +1,4 @@
-"""Where Hydra finds the law's configuration; Hydra imports what lies in the namespace `hydra_plugins`."""
+"""Hydra plug-in with the path of the models' configurations; Hydra imports the namespace `hydra_plugins`."""
 
 from importlib.resources import files
 
@@ -9,13 +9,13 @@ from frictionzoo.core.config import CONF_DIR
 
 
 class FrictionzooMakkar(SearchPathPlugin):
-    """Adds this package's `conf` to the search path of frictionzoo."""
+    """Plug-in that adds this package's `conf` to frictionzoo's search path."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Append the folder, unless another program searches.
+        """Append the folder if the running program is frictionzoo.
 
         Args:
-            search_path: Of the program that runs; Hydra asks every plug-in of the environment.
+            search_path: Search path of the running program; Hydra calls every installed plug-in.
         """
         if any(element.path == str(CONF_DIR) for element in search_path.get_path()):
             search_path.append("frictionzoo-makkar", f"file://{files('frictionzoo_makkar') / 'conf'}")
