@@ -52,7 +52,7 @@ def test_two_devices_find_what_one_finds(
     command = [sys.executable, "-c", COMPARE.format(fits=FITS, options=options)]
     finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr
-    assert finished.stderr.count("spread over 2 devices") == len(FITS)
+    assert finished.stderr.count("run on 2 devices") == len(FITS)
     for fit in FITS:
         one, two = (parameters(tmp_path / f"{fit}{count}") for count in (1, 2))
         assert two == pytest.approx(one, rel=1e-9), fit

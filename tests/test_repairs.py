@@ -81,7 +81,7 @@ def test_the_first_command_is_the_repair_and_runs(call: Callable[..., Finished],
     assert kinds[0] == "repair" and "recording" not in kinds
     assert any("kp and kd to 0.15" in finding["text"] for finding in verdict["findings"])
     command = verdict["commands"][0]["command"]
-    assert first.out.partition("next: the repair")[2].splitlines()[1].strip() == command
+    assert first.out.partition("next: the corrected run")[2].splitlines()[1].strip() == command
     again = call(*shlex.split(command)[3:], "hydra.run.dir=second")
     assert again.status == 0, again.err
     result = json.loads((tmp_path / "second" / "result.json").read_text())
