@@ -165,7 +165,7 @@ def text_of(bench: Bench, values: Mapping[str, np.ndarray]) -> str:
 def aim_of(bench: Bench, segments: Segments) -> Float[np.ndarray, "batch samples nv"]:
     """Return the command of MuJoCo's position actuator: the desired position plus the term of the desired velocity."""
     ctrl, inputs, _ = segments.signals
-    return bench.actuator.control(np, bench.initial_values(), 0.0, 0.0, ctrl, inputs)
+    return bench.actuator.combine(bench.initial_values(), ctrl, inputs)
 
 
 def delayed(

@@ -154,8 +154,16 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
 
     finite: list[NormalEquations] = []
     try:
-        found = _solve(
-            residuals, lambda: compress(finite[-1], unit)[1], Box(start, low, high), tolerance, len(state.loss)
+        found = scipy.optimize.least_squares(
+            residuals,
+            np.clip(start, low, high),
+            jac=lambda vector: compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
+            bounds=(low, high),
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=len(state.loss),
         )
     except _AskedError:
         return state._replace(asked=asked[-1])
@@ -200,24 +208,3 @@ def descend(
         else:
             damping = max(10 * damping, _SOFT)
     return at, found.loss
-
-
-def _solve(
-    residuals: Callable[[np.ndarray], np.ndarray],
-    slopes: Callable[[], np.ndarray],
-    box: Box,
-    tolerance: float,
-    most: int,
-) -> Any:
-    """Run scipy's solver; `slopes` returns the Jacobian at the vector of the last residuals."""
-    return scipy.optimize.least_squares(
-        residuals,
-        np.clip(*box),
-        jac=lambda vector: slopes(),  # pyright: ignore[reportArgumentType] - one of its kinds
-        bounds=(box.low, box.high),
-        x_scale="jac",
-        ftol=tolerance,
-        xtol=tolerance,
-        gtol=tolerance,
-        max_nfev=most,
-    )

@@ -1,4 +1,4 @@
-"""MJCF bodies of a robot of which only some joints move; bodies that move together are fused."""
+"""MJCF bodies of a robot with some joints fixed; bodies that move together are fused."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Sequence
@@ -102,7 +102,7 @@ class Tree:
         return Place(self._source.model.body_pos[body].copy(), self._source.model.body_quat[body].copy())
 
     def _lifted(self, body: int, parent: int) -> bool:
-        """Return whether a body's gravity compensation differs from that of the body it is fixed to."""
+        """Return whether a body's gravity compensation differs from its parent body's."""
         lift, owner = self._source.model.body_gravcomp, self._owner[parent]
         return bool(self._moves[body] and self._source.mass[body] > 0 and lift[body] != lift[owner])
 
