@@ -18,6 +18,7 @@ MOST_TRIES = 10_000  # the Hessian of every try is kept; ten tries are usual
 MOST_COORDINATES = 200  # the Jacobian has a column per coordinate; more coordinates are a network's weights
 _ALIKE = 1e-2  # relative difference up to which two losses count as equal
 _LEAST = 1e-6  # damping, as a share of each curvature: combinations that the data do not determine do not move
+_SLOW = 0.8  # share of the loss, after `patience` vectors, above which a search has become slow
 _SOFT, _STIFFEST = 0.1, 1e6  # damping after a failed step, and above which only rounding could lower the loss
 _SLACK = 30.0  # multiples of the floating-point precision below which a change of the loss is rounding
 
@@ -176,6 +177,7 @@ def descend(
     tries: int,
     tolerance: float,
     enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
+    patience: int | None = None,
 ) -> tuple[Float[np.ndarray, "coordinates"], float]:
     """Minimise a sum of squares by Levenberg-Marquardt steps within bounds.
 
@@ -188,15 +190,19 @@ def descend(
         tries: Largest number of vectors to try.
         tolerance: The search ends when the predicted decrease is below this share of the objective.
         enough: Function of the next vector that ends the search before that vector is tried.
+        patience: Number of vectors within which the loss must fall by a fifth; None for any progress.
 
     Returns:
         The best vector and its loss; infinite where the objective is not finite at the start.
     """
-    at, damping = np.clip(*box), _LEAST
+    at, damping, losses = np.clip(*box), _LEAST, list[float]()
     found = evaluate(at)
     if not found.finite:
         return at, np.inf
     for _ in range(tries - 1):
+        losses.append(found.loss)
+        if patience is not None and len(losses) > patience and found.loss > _SLOW * losses[-1 - patience]:
+            break
         stiff = found.hessian * (1 + damping * np.eye(len(at)))
         step = bounded_step(found.gradient, stiff, box.low - at, box.high - at)
         promised = -float(2 * step @ found.gradient + step @ found.hessian @ step)

@@ -27,6 +27,7 @@ _NEAR = 0.2  # difference in sample intervals below which two delays lead to the
 _FAR = 2.0  # largest change of any coordinate that follows a shifted delay
 _ROUNDS = 5  # rounds of shifts, each from the best result so far
 _FLAT = 1e-8  # curvature of a combination, as a share of the largest, below which it does not follow the delay
+_PATIENCE = 8  # vectors without much progress after which a search ends if there are other starting points
 _BETTER = 1e-6  # share of the loss by which another minimum must be lower
 
 
@@ -124,6 +125,8 @@ class Searches:
         self._least, self._states = np.inf, objective.begun
         self._found: dict[str, End] = {}
         self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
+        recordings = objective.recordings  # a model with several minima has other starting points than a slow one
+        self._patience = _PATIENCE if recordings is not None and recordings.model.valleys else None
 
     @property
     def states(self) -> Any:
@@ -199,6 +202,7 @@ class Searches:
             min(most, self._tries),
             self._tolerance,
             lambda own: enough(part.whole(own)),
+            self._patience,
         )
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
         return End(name, part.whole(own), loss)

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import jaxlib.version
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
@@ -31,7 +32,10 @@ class Friction:
     advance: Callable[[Mapping[str, Any], DriveState, Array, float], tuple[FrictionTerms, Array]]
 
 
-UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion", "xla_cpu_use_fusion_emitters": True}
+_CHOICE = jaxlib.version.__version_info__ < (0, 11, 1)  # later versions have the newer emitters alone
+
+UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion"}
+UNFUSED |= {"xla_cpu_use_fusion_emitters": True} if _CHOICE else {}
 """Compiler options that switch off XLA's fusion on CPUs.
 
 Fusion recomputes a term wherever it is used. The dynamics of many joints use each term many times, so the compiled step
@@ -39,7 +43,7 @@ becomes slow. The newer emitters are needed too: without fusion, the older ones 
 (jaxlib 0.10.2).
 """
 
-FORWARD: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+FORWARD: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False} if _CHOICE else {}
 """Compiler options for fused functions without a reverse sweep: XLA's older code emitters for CPUs.
 
 They compile in two thirds of the time; rollouts and tangents run up to a third faster, reverse sweeps a fifth slower.

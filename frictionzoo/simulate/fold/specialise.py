@@ -169,6 +169,9 @@ def _apply(simplifier: Simplifier, equation: Any, inputs: list[np.ndarray]) -> l
         return [PRIMITIVES[name](simplifier, inputs, params)]
     if name == "split":
         return list(np.split(inputs[0], np.cumsum(params["sizes"])[:-1], axis=params["axis"]))
+    if name == "unstack":  # JAX 0.11 indexes and unpacks arrays with it
+        axis = params["axis"]
+        return [part.squeeze(axis) for part in np.split(inputs[0], inputs[0].shape[axis], axis)]
     if any(array.dtype == object for array in inputs):
         raise CannotSpecialiseError(name)
     with jax.ensure_compile_time_eval():
