@@ -19,6 +19,7 @@ import torch
 import yaml
 from conftest import RUNS, Finished, slow_but
 from matplotlib.image import imread, imsave
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 from tensorboard.plugins.custom_scalar.metadata import CONFIG_SUMMARY_TAG
@@ -288,6 +289,23 @@ def test_a_record_begins_anew(tmp_path: Path, logger: RunLogger) -> None:
     assert record.scalars == {"loss": {0: 1.0, 1: 2.0}, "fit/loss": {2: 0.5}}
     assert (record.hyperparameters["model"], float(record.hyperparameters["steps"])) == ("lugre", 2)
     assert record.figures == {"one": (2, 3)} and "all | of it" in record.text and record.ended
+
+
+@pytest.mark.parametrize("logger", [TensorBoard(), Csv()], ids=["tensorboard", "csv"])
+def test_a_saved_row_is_on_disk_at_once(tmp_path: Path, logger: RunLogger) -> None:
+    record = logger.start(tmp_path, {"model": "mujoco_default"})
+    for step in range(3):
+        record.log_metrics({"loss": 1.0 / (1 + step)}, step)
+        record.save()
+        assert read_losses(tmp_path) == pytest.approx([1.0, 0.5, 1 / 3][: step + 1])
+
+
+def read_losses(run: Path) -> list[float]:
+    """The losses so far of a run that has not ended."""
+    if (run / "csv").exists():
+        with open(run / "csv" / "metrics.csv", newline="") as file:
+            return [float(row["loss"]) for row in csv.DictReader(file)]
+    return [event.value for event in EventAccumulator(str(run / "tensorboard")).Reload().Scalars("loss")]
 
 
 def test_every_logger_of_the_configuration_is_tested() -> None:
