@@ -111,7 +111,7 @@ TARGETS = (
         "os.system",
         "subprocess.Popen",
         "builtins.exec",
-        "frictionzoo.watch.__main__.X",
+        "frictionzoo.excite.__main__.X",
         "frictionzoo.cli.commands.main",
     ),
     *(
@@ -312,7 +312,7 @@ def change_form(folder: Path, rng: random.Random) -> None:
             text.replace("frictionzoo", "stranger"),
             text.replace("knee", "\\ud800"),
         ),
-        text.replace("frictionzoo.bench", "frictionzoo.watch.__main__"),
+        text.replace("frictionzoo.bench", "frictionzoo.excite.__main__"),
     )
     path.write_text(rng.choice(forms), encoding="utf-8")
 

@@ -407,7 +407,6 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}--cfg job", show_configuration),
     (r"eval .*", left_to("test_help::test_a_line_is_completed")),
     (rf"{JOB}-sc install=fish \| source", left_to("test_help::test_a_line_is_completed")),
-    (r"python -m frictionzoo\.watch \S+( --once)?", left_to("test_watch::test_it_waits_tells_changes_and_ends")),
     (rf"{JOB}--help", left_to("test_help::test_help_does_not_wait_for_imports")),
     (
         rf"{JOB}resume=outputs/\S+",

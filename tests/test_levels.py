@@ -16,7 +16,7 @@ LEVELS = {
     **dict.fromkeys(("models/contained", "models/contract", "models/formula", "simulate/bridge"), 4),
     **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
-    **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill", "excite", "card", "watch"), 6),
+    **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill", "excite", "card"), 6),
     **dict.fromkeys(("identification",), 7),
     **dict.fromkeys(("library", "cli", "run", "compare", "list", "distill/distillation"), 8),
     **dict.fromkeys(
@@ -26,7 +26,6 @@ LEVELS = {
             "distill/__main__",
             "excite/__main__",
             "card/__main__",
-            "watch/__main__",
         ),
         8,
     ),

@@ -16,7 +16,6 @@ from frictionzoo.core.telling import tell
 COMMANDS = {
     "run": "identify a drive (the default command)",
     "compare": "compare runs on the same data: table, figures, a page",
-    "watch": "follow a run or a sweep while it runs",
     "inspect": "check recordings before a fit",
     "export": "export an identified drive to another program",
     "card": "publish an identified drive without its run",
@@ -58,8 +57,6 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo -m hydra/launcher=submitit_slurm 'model=glob(*)' seed=0,1,2
   Compare finished runs
     frictionzoo compare RUN OTHER_RUN --output comparison
-  Follow running jobs until they end
-    frictionzoo watch RUN
   Resume a stopped run
     frictionzoo resume=RUN
   Export the drive as MJCF; publish it as a card; fit a simpler model

@@ -46,7 +46,7 @@ def read_failure(folder: Path) -> Failure | None:
     if (folder / RESULT).exists():
         return None
     if not (folder / FAILURE).exists():
-        return Failure(folder.name, read_model(folder), "no result: its process ended before it was done")
+        return Failure(folder.name, _read_model(folder), "no result: its process ended before it was done")
     saved = read_json(folder / FAILURE)
     model, reason = (" ".join(str(saved.get(key, "")).split()) for key in ("model", "reason"))
     return Failure(folder.name, model, reason)
@@ -58,7 +58,7 @@ def refuse_unfinished(folder: Path) -> None:
         raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
 
 
-def read_model(folder: Path) -> str:
+def _read_model(folder: Path) -> str:
     """Return the model of a job; empty if Hydra's file was cut short."""
     return str(read_begun(folder, "hydra", "hydra", "runtime", "choices", "model") or "")
 

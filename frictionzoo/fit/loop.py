@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Record:
-    """Record of a fit on disk, for watching it and for resuming it after an interruption.
+    """Record of a fit on disk, for viewers and for resuming the fit after an interruption.
 
     Attributes:
         folder: The run's folder, for `checkpoints/` and the logger's files.

@@ -176,7 +176,7 @@ def _list_parameters(result: Result) -> Rows:
         for row in merge_known(parameter["by_joint"]) if several else parameter["by_joint"]:
             joint, status = [row["name"]] if several else [], say_status(row)
             status = "at a bound" if several and row["at_bound"] else status
-            found = _format_value(row["value"]), format_interval(row["interval"])
+            found = _format_value(row["value"]), _format_interval(row["interval"])
             rows.append((name, *joint, *found, parameter["unit"], status))
             name = ""  # only in the first row of a parameter
     if result["network"]:
@@ -277,7 +277,7 @@ def say_status(parameter: ParameterRow | ValueRow) -> str:
     return "not identifiable" if parameter["identifiable"] is False else "identified"
 
 
-def format_interval(interval: Sequence[Any] | None) -> str:
+def _format_interval(interval: Sequence[Any] | None) -> str:
     """Format the interval of a value from `result.json`; empty for none."""
     return "" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
 

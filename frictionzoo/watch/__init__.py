@@ -1,1 +1,0 @@
-"""Progress of runs and sweeps, read from their files: `python -m frictionzoo.watch FOLDER`."""
