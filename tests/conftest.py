@@ -108,6 +108,17 @@ def slow_but(quick: Collection[Any], values: Iterable[Any]) -> list[Any]:
     ]
 
 
+def check_each(check: Callable[..., object], cases: Iterable[Any]) -> None:
+    """A test of many cases: it fails with what the check says of each that does not pass; tuples are arguments."""
+    wrong = []
+    for case in cases:
+        try:
+            check(*(case if isinstance(case, tuple) else (case,)))
+        except Exception as error:
+            wrong.append(f"{case}: {type(error).__name__}: {error}")
+    assert not wrong, "\n".join(wrong)
+
+
 @dataclass(frozen=True)
 class Finished:
     """What a command left: exit status, standard output and standard error."""

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import pytest
 import reproduce
-from conftest import BRIEF, Finished, needs_data, render_nothing
+from conftest import BRIEF, Finished, check_each, needs_data, render_nothing
 from filelock import FileLock
 from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
@@ -64,6 +64,7 @@ STAND = """<mujoco><option timestep="0.001"><flag contact="disable"/></option><w
 RECORDINGS = ("a", "b", "bare", "loaded", "heavy", "logs/kp8_one", "logs/kp8_two", "logs/kp16_one", "logs/kp32_one")
 SCRIPTS = ("benchmarks", "experiments", "frictionzoo", "conf", "Makefile", "pyproject.toml")  # of a checkout
 REPRODUCED = {path.parent.name for path in (ROOT / "experiments").glob("*/expected.yaml")}
+NAMED = r"experiment=(\w+)|reproduce\.py (\w+)"
 CI = (ROOT / ".ci" / "run").read_text()
 PATIENCE = 60.0  # s after which a server that does not answer is a failure
 
@@ -238,12 +239,16 @@ def search(command: str, place: Place) -> None:
     assert {*found.best_params} == {"segments.length", "fit.learning_rate"}
 
 
+@functools.cache
+def list_reproduced() -> set[str]:
+    """The experiments that are run, and those that one of their commands chooses."""
+    published = [each for name in REPRODUCED for each in reproduce.read_expected(name)["commands"]]
+    return REPRODUCED | {re.findall(NAMED, each)[0][0] for each in published}
+
+
 def leave_to_the_experiments(command: str, place: Place) -> None:
     """The experiment, or one of whose commands it is, is run; all of its jobs compose."""
-    pattern = r"experiment=(\w+)|reproduce\.py (\w+)"
-    published = [each for name in REPRODUCED for each in reproduce.read_expected(name)["commands"]]
-    reproduced = REPRODUCED | {re.findall(pattern, each)[0][0] for each in published}
-    assert set(re.findall(pattern, command)[0]) & reproduced - {""}
+    assert set(re.findall(NAMED, command)[0]) & list_reproduced() - {""}
     left_to("test_experiments::test_an_experiment_gives_what_its_page_says", "test_readme::test_a_command_composes")(
         command, place
     )
@@ -483,9 +488,18 @@ FOUND = {fill(command): None for page in PAGES for command in commands_of(page)}
 pytestmark = pytest.mark.usefixtures("in_haste")
 
 
-@pytest.mark.parametrize("command", [pytest.param(each, marks=find_rule(each)[1], id=each) for each in FOUND])
+LEFT = {each: find_rule(each)[0] for each in FOUND if find_rule(each)[0].__name__.startswith("leave")}
+
+
+@pytest.mark.parametrize(
+    "command", [pytest.param(each, marks=find_rule(each)[1], id=each) for each in FOUND if each not in LEFT]
+)
 def test_a_command_of_the_documentation_runs(command: str, place: Place) -> None:
     find_rule(command)[0](command, place)
+
+
+def test_a_command_that_is_left_to_another_test_is_tried_there(place: Place) -> None:
+    check_each(lambda command, leave: leave(command, place), LEFT.items())
 
 
 def test_the_pages_have_commands() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import hypothesis.strategies as st
 import pytest
+from conftest import check_each
 from hypothesis import given
 from omegaconf import DictConfig, OmegaConf
 
@@ -127,20 +128,28 @@ def test_every_bench_and_every_variant_is_looked_at() -> None:
     assert variants - {"_".join(pair) for pair in VARIANTS} == {"sts3215_network"}  # what others begin with
 
 
-@pytest.mark.parametrize("name", ["_".join(pair) for pair in VARIANTS])
-def test_a_variant_is_taken_with_its_experiment_and_model(name: str) -> None:
-    experiment, model = next(pair for pair in VARIANTS if "_".join(pair) == name)
-    config = compose_config(f"experiment={experiment}", f"model={model}")
+def test_a_variant_is_taken_with_its_experiment_and_model() -> None:
+    check_each(check_variant, VARIANTS)
+
+
+def check_variant(experiment: str, model: str) -> None:
+    name, config = f"{experiment}_{model}", compose_config(f"experiment={experiment}", f"model={model}")
     asked = OmegaConf.load(CONF_DIR / "variant" / f"{name}.yaml")
     for file in [*(base for base in asked.pop("defaults", []) if base != "_self_"), name]:
         for key, value in list_options(OmegaConf.to_container(OmegaConf.load(CONF_DIR / "variant" / f"{file}.yaml"))):
             assert key == "defaults" or OmegaConf.select(config, key) == value, key
 
 
-@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
-def test_an_experiment_starts_with_the_command_that_runs_it(path: Path) -> None:
+def test_an_experiment_starts_with_the_command_that_runs_it() -> None:
+    """As it is on a page."""
+    pages = [page.read_text() for page in (CONF_DIR.parent / "experiments").glob("*/README.md")]
+    check_each(functools.partial(check_experiment, pages=pages), EXPERIMENTS)
+
+
+def check_experiment(path: Path, pages: list[str]) -> None:
     package, command = path.read_text().splitlines()[:2]
-    assert package == "# @package _global_"
+    assert package == "# @package _global_"  # Hydra reads it in the first line only
+    assert any(command.removeprefix("# ") in page for page in pages)
     words = shlex.split(command.removeprefix("# "))
     assert words[:4] == ["python", "-m", "frictionzoo.run", f"experiment={path.stem}"]
     chosen = compose_config(*words[3:])
@@ -198,8 +207,7 @@ def test_build_makes_the_class_with_its_arguments() -> None:
 
 
 @pytest.mark.parametrize(
-    ("target", "arguments"),
-    [("frictionzoo.bench.Bench", {}), ("frictionzoo.fit.Grid", {"points": 3, "speed": 1})],
+    ("target", "arguments"), [("frictionzoo.bench.Bench", {}), ("frictionzoo.fit.Grid", {"points": 3, "speed": 1})]
 )
 def test_build_refuses_other_arguments(target: str, arguments: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=re.escape(target)):

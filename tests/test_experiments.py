@@ -13,7 +13,7 @@ import reproduce
 import safetensors.torch
 import torch
 import yaml
-from conftest import needs_data
+from conftest import check_each, needs_data
 
 import frictionzoo as fz
 from frictionzoo.cli.run import NOT_IDENTIFIED
@@ -83,15 +83,6 @@ def test_twin_clean_is_judged_on_the_drive_that_is_hidden_in_it(compose):
 )
 def test_a_check_knows_what_it_allows(value, check, answer):
     assert reproduce.agrees(value, check) is answer
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "conf" / "experiment").glob("*.yaml")), ids=lambda path: path.stem)
-def test_an_experiment_starts_with_the_command_that_runs_it(path):
-    header, command = path.read_text().splitlines()[:2]
-    assert header == "# @package _global_"  # Hydra reads it in the first line only
-    assert command.startswith(f"# python -m frictionzoo.run experiment={path.stem}")
-    pages = [page.read_text() for page in EXPERIMENTS.glob("*/README.md")]
-    assert any(command.removeprefix("# ") in page for page in pages)
 
 
 @pytest.mark.parametrize(("name", "folds"), [("sts3215", False), ("kuka_lwr4", True)])
@@ -200,10 +191,13 @@ def test_the_table_goes_between_the_marks_and_the_small_variant_leaves_it(tmp_pa
     assert page.read_text() == "none"
 
 
-@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*/expected.yaml")), ids=lambda path: path.parent.name)
-def test_an_experiment_has_a_page_with_its_commands_and_its_table(path):
-    expected, page = reproduce.read_expected(path.parent.name), (path.parent / "README.md").read_text()
-    assert f"python experiments/reproduce.py {path.parent.name}" in page
+def test_an_experiment_has_a_page_with_its_commands_and_its_table():
+    check_each(check_page, sorted(path.parent.name for path in EXPERIMENTS.glob("*/expected.yaml")))
+
+
+def check_page(name):
+    expected, page = reproduce.read_expected(name), (EXPERIMENTS / name / "README.md").read_text()
+    assert f"python experiments/reproduce.py {name}" in page
     if "table" in expected:
         table = reproduce.MARKS.search(page)[0]
         assert reproduce.tabulate({"runs": []}, expected) in table

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT, slow_but
+from conftest import ROOT, check_each, slow_but
 from test_readme import assert_composes
 
 from frictionzoo.cli import run
@@ -99,9 +99,7 @@ def test_a_reader_that_goes_away_ends_a_command_in_silence(
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_page_names_every_command_wherever_a_run_is_asked_for_help(
-    capsys: pytest.CaptureFixture,
-) -> None:
+def test_the_page_names_every_command_wherever_a_run_is_asked_for_help(capsys: pytest.CaptureFixture) -> None:
     pages = set()
     for arguments in (["-h"], ["--help"], ["run", "--help"], ["model=coulomb_smooth", "-m", "-h"]):
         assert dispatch(arguments) is None
@@ -111,21 +109,20 @@ def test_the_page_names_every_command_wherever_a_run_is_asked_for_help(
         assert f"  {name:<8} {does}\n" in page
 
 
-@pytest.mark.parametrize("words", examples_of(HELP + _INSPECT), ids=" ".join)
-def test_an_example_is_true(words: list[str]) -> None:
+def check_example(name: str, *rest: str) -> None:
     """Jobs compose and data sets do; other commands parse, and what they name exists."""
-    name, *rest = words
     if name == "run":
-        return assert_composes(rest)
+        return assert_composes([*rest])
     if name == "inspect":
-        return assert_composes(_name_files(rest))
-    parsed = importlib.import_module(f"frictionzoo.cli.{name}")._parse(rest)
+        return assert_composes(_name_files([*rest]))
+    parsed = importlib.import_module(f"frictionzoo.cli.{name}")._parse([*rest])
     options = read_options(getattr(parsed, "options", []), "KEY=VALUE")
     assert options.get("target", "mjcf") in target_names()
     assert (CONF_DIR / "model" / f"{options.get('model', 'lugre')}.yaml").exists()
 
 
-def test_there_is_an_example_of_each_command() -> None:
+def test_an_example_is_true_and_there_is_one_of_each_command() -> None:
+    check_each(check_example, map(tuple, examples_of(HELP + _INSPECT)))
     examples = examples_of(HELP)
     assert {words[0] for words in examples} == {*COMMANDS} and len(examples) >= 10
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import ROOT
+from conftest import ROOT, check_each
 from omegaconf import OmegaConf
 
 from frictionzoo.bench.base import DEFAULTS
@@ -78,9 +78,12 @@ def test_law_keeps_the_contract(name):
     check_model(law)
 
 
-@pytest.mark.parametrize("bench", BENCHES)
 @pytest.mark.parametrize("name", OURS)
-def test_law_suits_the_scale_of_a_bench(name, bench):
+def test_law_suits_the_scale_of_a_bench(name):
+    check_each(check_scale, [(name, bench) for bench in BENCHES])
+
+
+def check_scale(name, bench):
     model, config = make_law(name, bench=bench), compose_once(f"bench={bench}")
     assert set(model.params) == set(get_model(name).dimensions) or name == "by_joint"  # whose are its laws'
     for param in model.params.values():
@@ -126,9 +129,12 @@ def test_gradient_equals_central_differences(name):
         assert torch.autograd.gradcheck(law, inputs, eps=1e-7, rtol=1e-4, fast_mode=name not in ANALYTIC)
 
 
-@pytest.mark.parametrize("bench", BENCHES)
 @pytest.mark.parametrize("name", [name for name in OURS if get_model(name).dissipative and name != "baseline"])
-def test_friction_opposes_motion_anywhere_in_bounds(name, bench):
+def test_friction_opposes_motion_anywhere_in_bounds(name):
+    check_each(check_opposes, [(name, bench) for bench in BENCHES])
+
+
+def check_opposes(name, bench):
     """Strictly; each of the joints has other values."""
     model, state = make_law(name, 200, bench), random_state(20, 200)
     values, drive = anywhere_in_bounds(model, 0), in_torch(state)

@@ -6,9 +6,9 @@ import re
 import runpy
 import shlex
 import subprocess
-from pathlib import Path
 
 import pytest
+from conftest import check_each
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 from pages import PACKAGE, PAGES, ROOT, blocks_of, expand, inline_of
@@ -38,15 +38,13 @@ def options_of(page):
     return set(re.findall(r"`([a-z_]+(?:\.[a-z_]+)+)=[^`]*`", page.read_text()))
 
 
-JOBS = [
-    (page, job)
+JOBS = {
+    shlex.join(job): page
     for page in PAGES
     if page.parent != PACKAGE
     for job in jobs_of(page)
     if not any(map(PLACEHOLDER.search, job))
-]
-
-
+}
 compose_once = functools.cache(compose_config)  # pages share most of what they choose; nothing here changes it
 
 
@@ -71,20 +69,13 @@ def assert_composes(job):
         check_overrides(config, plain)
 
 
-@pytest.mark.parametrize("page, job", JOBS, ids=lambda value: value.parent.name if isinstance(value, Path) else None)
-def test_a_command_composes(page, job):
-    assert_composes(job)
+def test_a_command_composes():
+    check_each(lambda job, page: assert_composes(shlex.split(job)), JOBS.items())
+    assert len(JOBS) >= 15 and "README.md" in {page.name for page in JOBS.values()}  # the pattern still finds them
 
 
-def test_the_pages_have_commands():
-    """The pattern above still finds them."""
-    assert len(JOBS) >= 15
-    assert {page.name for page, _ in JOBS} >= {"README.md"}
-
-
-@pytest.fixture(scope="module")
-def known_options():
-    """Dotted names of all options and sections in the files of conf/."""
+def test_a_named_option_exists():
+    """In the files of conf/, an option or a section."""
     known = set()
     for path in CONF_DIR.glob("**/*.yaml"):
         package = re.match(r"# @package (\S+)", path.read_text())
@@ -92,12 +83,9 @@ def known_options():
         file = OmegaConf.to_container(OmegaConf.load(path))
         for key, _ in list_options(file, "" if own == "_global_" or path.parent == CONF_DIR else f"{own}."):
             known |= set(itertools.accumulate(key.split("."), "{}.{}".format))
-    return known
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.stem}")
-def test_a_named_option_exists(page, known_options):
-    assert {option for option in options_of(page) if not option.startswith("hydra.")} <= known_options
+    named = [(str(page), option) for page in PAGES for option in options_of(page)]
+    wrong = [each for each in named if each[1] not in known and not each[1].startswith("hydra.")]
+    assert not wrong, wrong
 
 
 @pytest.mark.parametrize("group, page", [("data", "data"), ("logger", "fits"), ("fit", "fits"), ("experiment", "run")])
@@ -107,10 +95,10 @@ def test_a_page_lists_every_choice(group, page):
         assert re.search(rf"[`\[]{path.stem}[`\]]", text), path.stem
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.stem}")
-def test_a_link_inside_the_project_leads_somewhere(page):
-    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
-        assert (page.parent / target).exists(), target
+def test_a_link_inside_the_project_leads_somewhere():
+    links = [(page, link) for page in PAGES for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())]
+    wrong = [(str(page), link) for page, link in links if not (page.parent / link).exists()]
+    assert not wrong, wrong
 
 
 @pytest.mark.parametrize("number", [1, 2])
