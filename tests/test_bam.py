@@ -148,10 +148,7 @@ def write(tmp_path: Path) -> Callable[[dict[str, Any]], Path]:
 
 
 def test_bams_own_equations_are_followed_and_identified(
-    compose: Callable[..., Any],
-    pose_problem: Callable[[Any], Problem],
-    write: Callable[..., Path],
-    tmp_path: Path,
+    compose: Callable[..., Any], pose_problem: Callable[[Any], Problem], write: Callable[..., Path], tmp_path: Path
 ) -> None:
     """With the law that has all terms, over 3 s of motion by 1 rad; steps of 0.5 ms against 0.2 ms.
 

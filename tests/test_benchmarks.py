@@ -20,10 +20,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "reports": ("--samples 30000 --sequences 1 --repeats 1", 2),
     "end_to_end": ("--models baseline --iterations 2 -- data.samples=30000", 1),
     "grid": ("--points 2 --sample 1 --models mujoco_default -- data.samples=30000", 4),
-    "torch_loop": (
-        "--laws coulomb_stribeck neural_friction --iterations 2 -- data.samples=30000 segments.count=20",
-        6,
-    ),
+    "torch_loop": ("--laws coulomb_stribeck neural_friction --iterations 2 -- data.samples=30000 segments.count=20", 6),
     "torch_only": ("--quick --engines specialised", 3),
     "robot": ("--variants torque --parts legs --segments 4 --length 10 --iterations 2 --seconds 0.5", 3),
     "whole_robot": (f"{ROOT}/frictionzoo/bench/assets/knee_rod.xml --recordings 2 --seconds 2 --segments 5", 1),

@@ -109,10 +109,7 @@ def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
         ),
         (lambda log: {"qvel": -log.qvel}, r"have opposite signs, expected the same; set data\.sign\.qvel=-1"),
         (lambda log: {"qpos": -log.qpos}, r"have opposite signs.*or data\.sign\.qpos=-1"),
-        (
-            lambda log: {"qpos": log.qpos % (2 * np.pi)},
-            r"jumps by a whole turn \d+ times.*data\.clean\.wrap=6\.28",
-        ),
+        (lambda log: {"qpos": log.qpos % (2 * np.pi)}, r"jumps by a whole turn \d+ times.*data\.clean\.wrap=6\.28"),
         (lambda log: {"time": 1000 * log.time}, r"1 s between samples, expected .*; set data\.units\.time=ms"),
         (lambda log: {"qpos": 0 * log.qpos, "qvel": 0 * log.qvel}, "moves by 0 in all, while ctrl spans"),
         (lambda log: {"qpos": RNG.normal(size=log.qpos.shape)}, "jumps between samples like noise"),
@@ -130,14 +127,8 @@ def test_what_is_certain_is_refused_with_what_mends_it(
 @pytest.mark.parametrize(
     ("spoil", "text"),
     [
-        (
-            lambda log: {"qvel": late(log.qvel, 15)},
-            "qvel lags qpos by 15.1 ms; set data.clean.velocity_lag=auto",
-        ),
-        (
-            lambda log: {"qpos": late(log.qpos, 15)},
-            "qpos lags qvel by 14.9 ms; set data.clean.velocity_lag=auto",
-        ),
+        (lambda log: {"qvel": late(log.qvel, 15)}, "qvel lags qpos by 15.1 ms; set data.clean.velocity_lag=auto"),
+        (lambda log: {"qpos": late(log.qpos, 15)}, "qpos lags qvel by 14.9 ms; set data.clean.velocity_lag=auto"),
         (lambda log: {"time": 2 * log.time}, "qvel is 2 times the position's derivative: check the units of time"),
         (lambda log: {"ctrl": 0 * log.ctrl + 1}, "ctrl is constant, 1"),
         (lambda log: {"ctrl": cut_off(log.ctrl)}, "it seems to be clipped"),
@@ -149,10 +140,7 @@ def test_what_is_certain_is_refused_with_what_mends_it(
             lambda log: {name: 57.3 * getattr(log, name) for name in ("qpos", "qvel", "ctrl")},
             "it looks like degrees; set data.units.qpos=deg",
         ),
-        (
-            lambda log: {"qpos": late(log.qpos, 400), "qvel": late(log.qvel, 400)},
-            "identify bench.params.delay",
-        ),
+        (lambda log: {"qpos": late(log.qpos, 400), "qvel": late(log.qvel, 400)}, "identify bench.params.delay"),
         (lambda log: {"ctrl": advance(log.ctrl, 0.07)}, "their clocks drift apart; record both with one clock"),
         (lambda log: one_way(log), "the motion never reverses (0 % of it goes the other way)"),
         (lambda log: {"qpos": log.qpos + 5}, "both have the same zero"),

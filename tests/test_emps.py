@@ -147,10 +147,7 @@ def test_an_unreadable_file_gets_one_line(tmp_path, damage):
 
 NAN = np.where(np.arange(500) == 7, np.nan, 0.5)
 BAD = {
-    "missing": (
-        signals(vir=None, virr=TIME),
-        r"no variable vir, it holds t, qm, gtau, virr; did you mean virr\?",
-    ),
+    "missing": (signals(vir=None, virr=TIME), r"no variable vir, it holds t, qm, gtau, virr; did you mean virr\?"),
     "length": (signals(qm=TIME[:-1]), r"qm has shape \(1, 499\) and t \(500, 1\), expected one column as long as t"),
     "matrix": (signals(qm=np.ones((500, 2))), r"qm has shape \(500, 2\)"),
     "text": (signals(vir="volt"), r"vir is of type <U4, expected real numbers"),

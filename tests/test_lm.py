@@ -52,9 +52,7 @@ def test_a_known_drive_is_found_in_a_few_iterations(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{}, {"robust": "soft_l1", "robust_scale": 0.01}, {"refine": True}, {"encoder_step": 0.01}],
-    ids=str,
+    "options", [{}, {"robust": "soft_l1", "robust_scale": 0.01}, {"refine": True}, {"encoder_step": 0.01}], ids=str
 )
 def test_the_derivatives_are_those_of_the_loss(options: dict[str, Any]) -> None:
     # A law without corners: on one, where sticking begins, the best start may lie, and the loss has no gradient there.

@@ -326,8 +326,7 @@ QUICK = [*itertools.product(CHEAP, HOSTILE[:2])]
 
 
 @pytest.mark.parametrize(
-    ("target", "names"),
-    slow_but(QUICK, [*itertools.product(CHEAP, HOSTILE), *itertools.product(SLOW, HOSTILE[:2])]),
+    ("target", "names"), slow_but(QUICK, [*itertools.product(CHEAP, HOSTILE), *itertools.product(SLOW, HOSTILE[:2])])
 )
 def test_a_target_writes_names_as_data(
     target: str, names: tuple[str, str], plain: Callable[[str], Path], tmp_path: Path

@@ -285,10 +285,7 @@ def test_a_fit_method_is_two_files(
 
 
 def test_an_export_target_is_one_file(
-    add: Callable[..., None],
-    finished_run: Callable[..., Any],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    add: Callable[..., None], finished_run: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from frictionzoo.export.write import write_exports
 

@@ -99,13 +99,7 @@ def test_killed_and_resumed_is_as_if_nothing_had_happened(
     ],
 )
 def test_ended_elsewhere_and_resumed_is_as_if_nothing_had_happened(
-    call: Callable,
-    finished_run: Callable,
-    tiny: tuple[str, ...],
-    tmp_path: Path,
-    name: str,
-    place: tuple,
-    saved: int,
+    call: Callable, finished_run: Callable, tiny: tuple[str, ...], tmp_path: Path, name: str, place: tuple, saved: int
 ) -> None:
     function = getattr(*place)
 

@@ -35,14 +35,8 @@ LINES = {
         changed(body(""), ("axis", 'solreffriction="0.01 1" axis')),
         r"solreffriction of joint hinge \(0\.01 1\)",
     ),
-    "bent spring": (
-        changed(body(""), ("axis", 'stiffness="1 2" axis')),
-        r"nonlinear springs of joint hinge",
-    ),
-    "bent damper": (
-        changed(body(""), ("axis", 'damping="1 2" axis')),
-        r"nonlinear damping of joint hinge",
-    ),
+    "bent spring": (changed(body(""), ("axis", 'stiffness="1 2" axis')), r"nonlinear springs of joint hinge"),
+    "bent damper": (changed(body(""), ("axis", 'damping="1 2" axis')), r"nonlinear damping of joint hinge"),
     "negative": (
         changed(ARM, ('friction="0.4"', 'friction="-0.4"')),
         r"frictionloss below 0 .* of joint shoulder \(-0\.4\)",
@@ -87,10 +81,7 @@ LINES = {
         body('<body name="end"><joint name="spin"/></body>'),
         r"1 moving links have no mass or no inertia \(end\)",
     ),
-    "unphysical": (
-        changed(ARM, ('izz="0.01" ixy', 'izz="0.09" ixy')),
-        r"the inertia of link upper is not physical",
-    ),
+    "unphysical": (changed(ARM, ('izz="0.01" ixy', 'izz="0.09" ixy')), r"the inertia of link upper is not physical"),
     "a URDF's shapes": (
         changed(
             ARM,

@@ -129,8 +129,7 @@ class Sweep:
             other = bench.nv, model.name, engine._timestep, engine._constraint
             if other not in self.programs:
                 self.programs[other] = jax.jit(
-                    functools.partial(roll, engine),
-                    compiler_options={**engine.forward_options, **proof._ONCE},
+                    functools.partial(roll, engine), compiler_options={**engine.forward_options, **proof._ONCE}
                 )
             simulate = self.programs[other]
             known = [jax.tree.map(lambda value: np.asarray(value, np.float64), each) for each in values]

@@ -113,12 +113,7 @@ def identify(folder: Path, text: str, foot: str) -> Identified:
     bench = fz.Robot(
         str(path),
         actuator=fz.JointPD(kp=KP, kd=KD, torque_gain=GAIN),
-        params={
-            "armature": 0.02,
-            "delay": LATE,
-            "position_offset": encoders.tolist(),
-            "torque_offset": pulls.tolist(),
-        },
+        params={"armature": 0.02, "delay": LATE, "position_offset": encoders.tolist(), "torque_offset": pulls.tolist()},
         payload=foot,
     )
     how: dict[str, Any] = {
