@@ -132,6 +132,19 @@ def test_a_search_may_begin_at_a_bound_beside_which_rollouts_diverge() -> None:
     assert (found, loss) == (0.0, 1.0)
 
 
+@pytest.mark.parametrize(("stiffness", "patience", "vectors"), [(100, None, 30), (100, 8, 9), (10, 8, 30)])
+def test_a_search_with_rivals_ends_when_it_is_slow(stiffness: float, patience: int | None, vectors: int) -> None:
+    """A step is the distance to the minimum over `stiffness`."""
+    tried = []
+
+    def evaluate(vector: np.ndarray) -> NormalEquations:
+        tried.append(vector)
+        return NormalEquations(float(vector @ vector), vector, stiffness * np.eye(1))
+
+    descend(evaluate, Box(np.ones(1), -np.ones(1), np.ones(1)), 30, 1e-9, patience=patience)
+    assert len(tried) == vectors
+
+
 def test_impossible_options_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"^fit.tolerance=2.0; expected a number between 0 and 1"):
         Several(tolerance=2.0)

@@ -125,7 +125,8 @@ class Searches:
         self._least, self._states = np.inf, objective.begun
         self._found: dict[str, End] = {}
         self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
-        recordings = objective.recordings  # a model with several minima has other starting points than a slow one
+        # A model with several minima is fitted from several starting points: a slow search has rivals.
+        recordings = objective.recordings
         self._patience = _PATIENCE if recordings is not None and recordings.model.valleys else None
 
     @property

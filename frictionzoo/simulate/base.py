@@ -32,10 +32,12 @@ class Friction:
     advance: Callable[[Mapping[str, Any], DriveState, Array, float], tuple[FrictionTerms, Array]]
 
 
-_CHOICE = jaxlib.version.__version_info__ < (0, 11, 1)  # later versions have the newer emitters alone
+def _emitters(newer: bool) -> dict[str, str | bool]:
+    """Return the XLA option that chooses the code emitters for CPUs; jaxlib 0.11.1 and later have the newer alone."""
+    return {"xla_cpu_use_fusion_emitters": newer} if jaxlib.version.__version_info__ < (0, 11, 1) else {}
 
-UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion"}
-UNFUSED |= {"xla_cpu_use_fusion_emitters": True} if _CHOICE else {}
+
+UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion"} | _emitters(newer=True)
 """Compiler options that switch off XLA's fusion on CPUs.
 
 Fusion recomputes a term wherever it is used. The dynamics of many joints use each term many times, so the compiled step
@@ -43,7 +45,7 @@ becomes slow. The newer emitters are needed too: without fusion, the older ones 
 (jaxlib 0.10.2).
 """
 
-FORWARD: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False} if _CHOICE else {}
+FORWARD: dict[str, str | bool] = _emitters(newer=False)
 """Compiler options for fused functions without a reverse sweep: XLA's older code emitters for CPUs.
 
 They compile in two thirds of the time; rollouts and tangents run up to a third faster, reverse sweeps a fifth slower.
