@@ -1,4 +1,4 @@
-"""Share of runs on hidden drives whose first finding names the fault of the log or the bench.
+"""Share of runs on hidden drives whose first finding, or repair of the log, names the fault of the log or the bench.
 
     python benchmarks/causes.py
     python benchmarks/causes.py --causes clipping gear exact --folder runs
@@ -33,7 +33,7 @@ COLUMNS = {
     "drive": "drive",
     "named": "named",
     "grade": "grade",
-    "findings": "findings",
+    "findings": "findings and repairs",
     "status": "status",
     "error": "error [mrad]",
     "residual": "residual [% of friction]",
@@ -51,8 +51,8 @@ class Case:
     Attributes:
         hidden: True drive.
         stated: Drive that the command line describes.
-        pattern: Regular expression of a finding, or of an identified parameter, that names the cause; empty without a
-            fault.
+        pattern: Regular expression of a finding, of an identified parameter, or of a repair of the log that names the
+            cause; empty without a fault.
         law: Fitted model; None for the drive's model.
         spoil: Function that puts the fault into the log's columns; None for no change.
         gap: Backlash of the gear [rad].
@@ -80,7 +80,7 @@ def make_case(cause: str, seed: int) -> Case:
     if cause == "stiffness":
         return Case(plain, replace(plain, drives=[replace(drive, kp=(0.9, 1.1)[second] * drive.kp)]), r"\bkp\b")
     if cause == "lag":
-        return Case(plain, plain, "velocity(_lag=auto|=estimated)", spoil=lambda log: _delay(log, LAGS[second]))
+        return Case(plain, plain, "qvel lags qpos by", spoil=lambda log: _delay(log, LAGS[second]))
     if cause == "scale":
         return Case(plain, plain, r"units? of time|units\.time", spoil=lambda log: _scale(log, (2.0, 0.5)[second]))
     if cause == "rounded":
@@ -202,11 +202,13 @@ def run(cause: str, seed: int, folder: Path, more: list[str]) -> dict[str, Any]:
         result = json.loads((out / "result.json").read_text())
         findings = result["verdict"]["findings"]
         causes = [finding for finding in findings if _names_a_cause(finding)]
-        said = _say(findings[0]) if findings else ""
+        repairs = [line.strip() for line in finished.stderr.splitlines() if re.search("qvel lags|times are", line)]
+        said = "; ".join(repairs) or (_say(findings[0]) if findings else "")
         found = " ".join(parameter["name"] for parameter in result["parameters"] if parameter["identified"])
         named = bool(re.search(case.pattern, said) or (not findings and re.search(case.pattern, found)))
         named = named if case.pattern else not causes
-        row = {"grade": result["verdict"]["grade"], "findings": len(findings), "seconds": result["timing"]["total"]}
+        row = {"grade": result["verdict"]["grade"], "seconds": result["timing"]["total"]}
+        row["findings"] = len(findings) + len(repairs)
         row["error"] = 1e3 * (result["metrics"]["test"]["position_mae"] or np.nan)
         joints = (result["residual"] or {"by_joint": []})["by_joint"]
         row["residual"] = max((100 * joint["residual"] / joint["friction"] for joint in joints), default=0.0)

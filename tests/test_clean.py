@@ -348,6 +348,28 @@ def test_a_velocity_that_shows_no_motion_is_estimated_joint_by_joint(faults, lag
     assert 0 < noise.velocity_weight < 1e3 and (noise.velocity is None) == log.velocity_estimated
 
 
+@settings(deadline=None, max_examples=25, derandomize=True)
+@given(
+    st.sampled_from([0.0, 1e-4, 1e-3]), st.sampled_from([0.0, 1e-3, 0.03, 0.3]), st.integers(0, 15), st.integers(0, 9)
+)
+def test_a_velocity_is_kept_where_it_is_more_accurate_than_the_estimate(rounding, noise, lag, seed):
+    time, rng = uniform(4000, 0.001), np.random.default_rng(seed)
+    frequencies = rng.uniform(1.0, 20.0, 5)  # rad/s
+    truth = np.cos(time[:, None] * frequencies) @ np.ones(5)
+    position = np.sin(time[:, None] * frequencies) @ (1 / frequencies)
+    position = np.round(position / rounding) * rounding if rounding else position
+    late = np.concatenate([np.full(lag, truth[0]), truth[: len(truth) - lag]]) + rng.normal(0.0, noise, len(time))
+    recording = record(time, qpos=position, qvel=late, ctrl=position)
+    errors = {}
+    for how in ("auto", "measured", "estimated"):
+        (log,) = clean(recording, cleaning(spikes="keep", velocity=how, cutoff=20.0))
+        errors[how] = float(np.sqrt(np.square(log.qvel[:, 0] - truth).mean()))
+    assert errors["auto"] <= 1.5 * min(errors["measured"], errors["estimated"])
+    if lag > 5 and not noise:
+        (log,) = clean(recording, cleaning(spikes="keep", cutoff=20.0))
+        assert f"qvel lags qpos by {lag} ms" in " ".join(log.repairs)
+
+
 @pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != "sound"])
 def test_a_measured_velocity_that_shows_no_motion_is_refused(fault):
     recording, _ = record_joints(["sound", fault])

@@ -215,7 +215,7 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
     if joint in log.without_velocity:
         if not log.velocity_estimated:
             other = "if another column has it, set data.columns.qvel"
-            yield "velocity", False, f"the recorded velocity{of} shows no motion: it is estimated from qpos; {other}"
+            yield "velocity", False, f"the recorded velocity{of} is not used, but estimated from qpos; {other}"
         return
     if not np.ptp(qvel) > 0:
         yield (

@@ -31,7 +31,8 @@ _LONGEST, _SHORT = 1.0, 0.1  # s, longest segments with and without estimated in
 _FEWEST = 10  # samples of a segment
 _MANY = 10  # segments at least: the spread between them gives the intervals
 _GROWTH = 20.0  # largest growth of a disturbance within a segment
-_COARSEST = 1e-3  # s, longest timestep
+_COARSEST = 1e-3  # s, longest first timestep,
+_FEWEST_STEPS = 5  # or this part of a sample interval if that is longer
 _FIRST_STEPS, _MOST_STEPS = 4e5, 3e6  # most simulation steps times joints, of pilots and of the final fit
 _LEAST = 0.1  # smallest share of the segments that is kept
 _MOVES = 1 / 3  # largest change of a parameter, in half intervals, when the timestep is halved
@@ -61,7 +62,7 @@ class Stages:
         self._interval = dataset.train[0].timestep
         self._step_is_open = settings["bench"].get("timestep") == AUTO
         if self._step_is_open:  # the longest one allowed that divides the sample interval
-            longest = min(bench.timestep, _COARSEST)
+            longest = max(min(bench.timestep, _COARSEST), self._interval / _FEWEST_STEPS)
             self._change(timestep=self._interval / math.ceil(self._interval / longest - 1e-9))
         self._order_is_open = settings["bench"].get("second_order") == AUTO
         if self._order_is_open:

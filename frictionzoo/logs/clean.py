@@ -30,7 +30,7 @@ from frictionzoo.logs.signals import (
     find_velocity_lag,
     repair_spikes,
 )
-from frictionzoo.logs.velocity import compare_velocities, find_dead_velocities, of_joints
+from frictionzoo.logs.velocity import compare_velocities, find_dead_velocities, of_joints, say_worse
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "resample": ("linear", "cubic"),
@@ -66,7 +66,8 @@ class Cleaning(Described):
             signals and replaces outliers of commands by the previous value; `drop` leaves out recordings with a spike
             in the position; `keep` keeps them.
         velocity: `measured`; `estimated` from the position without phase lag; or `auto`: measured and compared with
-            the position, but estimated for joints whose velocity is missing, constant or shows no motion.
+            the position, but estimated for joints whose velocity is missing, constant or shows no motion, or is so late
+            or noisy that the estimate is more accurate.
         cutoff: Cut-off frequency of the velocity estimate [Hz].
         order: Order of its filter, which runs forwards and backwards.
         velocity_lag: Lag of the measured velocity behind the position, to be removed [s]; `auto` measures it; None
@@ -406,21 +407,36 @@ def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method:
 
 
 def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """Estimate missing velocities, and compare measured ones with the position."""
+    """Estimate velocities that are missing or less accurate than the estimate; compare the others with the position."""
     if cleaning.velocity == "measured" and "qvel" not in piece.signals:
         raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
+    timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
+    cutoff, order, qpos = cleaning.cutoff, cleaning.order, piece.signals["qpos"]
+
+    def estimate(joints: list[int]) -> np.ndarray:
+        return _each(estimate_velocity, qpos[:, joints], timestep, cutoff, order, name, "data.clean.cutoff")
+
     if "qvel" in piece.signals and cleaning.velocity == "auto":
-        joints = sorted({*range(piece.signals["qpos"].shape[1])} - {*piece.without_velocity})
-        compared = compare_velocities(name, piece.time, piece.signals["qpos"], piece.signals["qvel"], joints)
-        piece = piece.say(*compared)
+        joints = sorted({*range(qpos.shape[1])} - {*piece.without_velocity})
+        piece = piece.say(*compare_velocities(name, piece.time, qpos, piece.signals["qvel"], joints))
+        if cutoff < 0.5 / timestep:
+            piece = _leave_worse(piece, joints, estimate(joints))
     if not piece.without_velocity:
         return piece
-    timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
-    cutoff, order, lacking = cleaning.cutoff, cleaning.order, list(piece.without_velocity)
-    qpos = piece.signals["qpos"]
+    lacking = list(piece.without_velocity)
     qvel = piece.signals.get("qvel", np.empty_like(qpos)).copy()
-    qvel[:, lacking] = _each(estimate_velocity, qpos[:, lacking], timestep, cutoff, order, name, "data.clean.cutoff")
+    qvel[:, lacking] = estimate(lacking)
     how = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
     return replace(piece, signals={**piece.signals, "qvel": qvel}).say(
         f"qvel{of_joints(lacking, qpos)} estimated from qpos: {how}"
     )
+
+
+def _leave_worse(piece: Piece, joints: Sequence[int], estimates: Float[np.ndarray, "time joints"]) -> Piece:
+    """Mark the joints whose measured velocity is less accurate than its estimate."""
+    qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
+    pairs = zip(joints, estimates.T, strict=True)
+    whys = {joint: say_worse(piece.time, qpos[:, joint], qvel[:, joint], each) for joint, each in pairs}
+    left = [joint for joint, why in whys.items() if why]
+    said = [f"qvel{of_joints([joint], qvel)} {whys[joint]}" for joint in left]
+    return replace(piece, without_velocity=tuple(sorted({*piece.without_velocity, *left}))).say(*said)

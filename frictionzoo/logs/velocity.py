@@ -1,4 +1,4 @@
-"""Check of recorded velocities against positions: columns without motion, in another unit or of another joint."""
+"""Recorded velocities beside those of positions: without motion, in another unit, of another joint, late or noisy."""
 
 from collections.abc import Iterable, Sequence
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.signals import Signal, derive_velocity, find_velocity_lag, repair_spikes
+from frictionzoo.logs.signals import Signal, derive_velocity, find_noise, find_velocity_lag, repair_spikes
 
 DEAD = 0.01  # share of the spread of the position's derivative, below which an unrelated velocity shows no motion
 COMPARED = 200  # fewest samples for comparing a measured velocity with the position
@@ -88,6 +88,39 @@ def compare_velocities(name: str, time: Signal, qpos: Columns, qvel: Columns, jo
         f"qvel{of_joints(unlike, qvel)} does not match the position's derivative: check for swapped columns, or "
         "set data.clean.velocity=estimated"
     ]
+
+
+def say_worse(time: Signal, position: Signal, velocity: Signal, estimate: Signal) -> str:
+    """Return why an estimate from the position is more accurate than the measured velocity; empty if it is not.
+
+    The squared difference of both is the sum of the measurement's noise, its lag and the estimate's error. The noise
+    is found from differences of the velocity, and the part of the lag by removing it.
+
+    Args:
+        time: Uniform sample times [s].
+        position: Position [rad or m].
+        velocity: Measured velocity [rad/s or m/s].
+        estimate: Velocity estimated from the position [rad/s or m/s].
+    """
+    found = find_velocity_lag(time, repair_spikes(position), velocity) if len(time) >= COMPARED else None
+    if found is None:
+        return ""
+    lag, noise = found[0], find_noise(velocity)
+    samples = round(lag / float(time[1] - time[0]))  # whole ones, because interpolation would smooth the noise
+    difference, in_time = (
+        float(np.square(_later(velocity, shift) - _later(estimate, -shift)).mean()) for shift in (0, samples)
+    )
+    late = max(difference - in_time, 0.0)
+    if not in_time - noise**2 < noise**2 + late:
+        return ""
+    if late > noise**2:
+        return f"lags qpos by {1e3 * lag:.3g} ms"
+    return f"has more noise ({noise:.2g} rad/s or m/s) than an estimate from qpos"
+
+
+def _later(signal: Signal, samples: int) -> Float[np.ndarray, "kept"]:
+    """Return a signal without its first samples; without its last ones if the number is negative."""
+    return signal[max(samples, 0) : len(signal) + min(samples, 0)]
 
 
 def of_joints(joints: Sequence[int], values: Columns) -> str:
