@@ -141,6 +141,7 @@ def test_positions_rounded_to_an_encoder_s_steps_are_fitted_in_a_few_iterations(
 def test_blocks_change_nothing_but_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = pose("mujoco_default").objective
     monkeypatch.setattr(blocks_module, "BLOCK_STATES", 35)  # 7 of the 60 segments: the last block is not full
+    monkeypatch.setattr(blocks_module, "ON_ACCELERATOR", 1)
     blocks = pose("mujoco_default").objective
     assert blocks.data.weight.shape == (9, 7) and float(blocks.data.weight.sum()) == 60
     vector = np.asarray(whole.space.start)

@@ -156,6 +156,7 @@ def dense_equations(shot: Shot, vector: np.ndarray, roots: np.ndarray) -> Normal
 
 def test_equations_are_the_dense_ones(bench: Bench, monkeypatch: pytest.MonkeyPatch, in_haste: None) -> None:
     monkeypatch.setattr(blocks_module, "KEPT_STATES", 60)  # 3 of the 8 segments: the last block is not full
+    monkeypatch.setattr(blocks_module, "ON_ACCELERATOR", 1)
     monkeypatch.setattr(blocks_module, "KEPT_BLOCKS", 1)
     logs = [noisy(swing(0.1, seed), 1e-3, 0.03) for seed in (0, 1)]
     shot = shoot(bench, "coulomb_smooth", 10, *logs, position=2.0, velocity=0.5, continuity=CONTINUITY, by_joint=True)

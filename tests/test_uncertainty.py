@@ -52,6 +52,7 @@ def test_intervals_are_those_of_the_formula(monkeypatch: pytest.MonkeyPatch) -> 
     """The covariance spelt out with the whole Jacobian of all residuals."""
     stretches, scale = 7, 0.02
     monkeypatch.setattr(blocks_module, "MOST_STRETCHES", stretches)
+    monkeypatch.setattr(blocks_module, "ON_ACCELERATOR", 1)
     monkeypatch.setattr(blocks_module, "BLOCK_STATES", 35)  # blocks and stretches do not begin together
     data, plain = noisy(record(), 1e-3, 2e-2), pose("mujoco_default").objective
     started = jax.tree.map(jnp.asarray, (data.qpos[:, 0], data.qvel[:, 0], data.signals))
