@@ -269,7 +269,7 @@ class Executed:
         return (exec, ("import sys; sys.executed = True",))
 
 
-STRANGERS = ("os.system", "frictionzoo.distill.__main__.main", "frictionzoo.logs.files.Files", "antigravity.Law", "x")
+STRANGERS = ("os.system", "frictionzoo.export.__main__.main", "frictionzoo.logs.files.Files", "antigravity.Law", "x")
 
 
 @pytest.mark.parametrize("target", STRANGERS)
@@ -289,7 +289,7 @@ def test_nothing_but_laws_is_built(own: Path, target: str, place: str) -> None:
     before = {*sys.modules}
     with pytest.raises(RunError, match=rf"^{re.escape(str(own))}.*_target_|{re.escape(target)}: "):
         fz.load(own)
-    assert not {"antigravity", "frictionzoo.distill.__main__"} & ({*sys.modules} - before)
+    assert not {"antigravity", "frictionzoo.export.__main__"} & ({*sys.modules} - before)
 
 
 def nonsense(place: str, value: Any) -> Callable[[Path], None]:

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 import frictionzoo as fz
 from frictionzoo.card.write import write_card
+from frictionzoo.cli.distill import distill
 from frictionzoo.cli.excite import main as excite
 from frictionzoo.cli.inspect import inspect_data
 from frictionzoo.cli.resume import recorded
@@ -37,7 +38,6 @@ from frictionzoo.core.output import (
     take_place,
     write_atomically,
 )
-from frictionzoo.distill.distillation import distill
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit.loggers import Csv, TensorBoard
 

@@ -11,9 +11,9 @@ LEVELS = {
     **dict.fromkeys(("checkup", "models/contained", "models/contract", "models/formula", "simulate/bridge"), 4),
     **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **{"fit": 5, "identification": 7},
-    **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill", "excite", "card"), 6),
-    **dict.fromkeys(("library", "cli", "run", "compare", "list", "distill/distillation"), 8),
-    **{f"{part}/__main__": 8 for part in ("export", "inspect", "distill", "excite", "card")},
+    **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "excite", "card"), 6),
+    **dict.fromkeys(("library", "cli", "run", "compare", "list", "distill"), 8),
+    **{f"{part}/__main__": 8 for part in ("export", "inspect", "excite", "card")},
 }
 FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}
 FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]

@@ -3,7 +3,6 @@
 MEASURED, TEXT, SOFT, GRID = "#000000", "#3d4450", "#7d8794", "#dfe3e8"
 PAPER = "#ffffff"  # background of text over curves
 MODEL, BASELINE, BEST, TRAIN = "#0072B2", "#E69F00", "#D00000", "#009E73"
-TEACHER = "#CC79A7"  # the model that a distilled student imitates
 # Okabe and Ito (2008), legible for colour-blind readers; without black (measured curves) and yellow (faint on paper).
 RUNS = (MODEL, "#D55E00", TRAIN, "#CC79A7", "#56B4E9", BASELINE)
 JOINTS = (MODEL, TRAIN, "#CC79A7", "#56B4E9", BASELINE, MEASURED, "#F0E442")

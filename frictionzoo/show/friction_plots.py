@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.comparison.runs import Run
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import say_percent
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.types import Result
 from frictionzoo.show import with_matplotlib
-from frictionzoo.show.colors import MODEL, TEACHER
+from frictionzoo.show.colors import MODEL
 from frictionzoo.show.figure import Axis, Band, Curve, Figure, Mark, Panel, Sheet, Stripe
 from frictionzoo.show.text import format_number
 
@@ -27,14 +26,14 @@ _OVER = {  # name of each axis, and its unit or its dimension in UNITS
 }
 
 
-def plot_portraits(result: Result, curves: Curves, teacher: Run | None = None) -> Iterator[Figure]:
+def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
     """Yield the friction curves of each joint over all inputs of the model.
 
-    A figure shows the model with its band, the teacher's curve if there is one, and the friction implied by recordings.
+    A figure shows the model with its band and the friction implied by recordings.
     """
     for joint in range(len(result["joints"])):
         for over in curves.portraits:
-            yield _plot_portrait(result, curves, joint, over, teacher)
+            yield _plot_portrait(result, curves, joint, over)
 
 
 def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> None:
@@ -49,43 +48,30 @@ def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> No
     with_matplotlib.save_figure(with_matplotlib.draw(sheet), path)
 
 
-def _plot_portrait(result: Result, curves: Curves, joint: int, over: str, teacher: Run | None = None) -> Figure:
+def _plot_portrait(result: Result, curves: Curves, joint: int, over: str) -> Figure:
     units, name, (label, unit) = find_units(result), result["joints"][joint], _OVER[over]
-    before = teacher.curves.portraits if teacher else {}
-    alone, taught = _pick(curves.portraits[over], joint), _pick(before[over], joint) if over in before else None
+    alone = Portrait(*(part[:, joint] for part in curves.portraits[over]))
     x = Axis(label, units.get(unit, unit))
     y = Axis("friction" if over == "velocity" else "friction opposing the motion", units["torque"])
     text = f"Friction of {name} over {label}: {_say_portrait(alone, units['torque'])}"
-    if taught:
-        text += f" The teacher's curve differs by at most {_say_apart(alone, taught, units['torque'])}"
-    panel = Panel(list(_draw_portrait(alone, taught, over == "velocity")), x, y)
+    panel = Panel(list(_draw_portrait(alone, over == "velocity")), x, y)
     return Figure(f"Friction of {name} over {label}", text, (panel,))
 
 
-def _pick(portrait: Portrait, joint: int) -> Portrait:
-    return Portrait(*(part[:, joint] for part in portrait))
-
-
-def _draw_portrait(portrait: Portrait, taught: Portrait | None, crosses: bool) -> Iterator[Mark]:
+def _draw_portrait(portrait: Portrait, crosses: bool) -> Iterator[Mark]:
     if crosses:
         yield Stripe(low=0.0, high=0.0, level=True)
         yield Stripe(low=0.0, high=0.0)
-    if taught:
-        yield from _draw_law(taught, "teacher", {"color": TEACHER, "dash": (5.0, 2.0)})
-    yield from _draw_law(portrait, "student" if taught else "model", {"color": MODEL})
+    name = "model"
+    if (sure := np.isfinite(portrait.low)).any():
+        name = "model, 95 % interval"
+        at, low, high = (part[sure] for part in (portrait.at, portrait.low, portrait.high))
+        yield Band(x=at, low=low, high=high, name=name, color=MODEL)
+    yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, color=MODEL)
     if (seen := np.isfinite(portrait.where)).any():
         where, implied, *ends = (part[seen] for part in portrait[4:])
         look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "reach": np.stack(ends)}
         yield Curve(x=where, y=implied, name="implied by the recorded torque", **look)
-
-
-def _draw_law(portrait: Portrait, name: str, look: Mapping[str, Any]) -> Iterator[Mark]:
-    """Yield a model's curve, in front of its band if it has one."""
-    if (sure := np.isfinite(portrait.low)).any():
-        name = f"{name}, 95 % interval"
-        at, low, high = (part[sure] for part in (portrait.at, portrait.low, portrait.high))
-        yield Band(x=at, low=low, high=high, name=name, color=look["color"])
-    yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, **look)
 
 
 def _say_portrait(portrait: Portrait, unit: str) -> str:
@@ -100,13 +86,6 @@ def _say_portrait(portrait: Portrait, unit: str) -> str:
         f"{format_number(float(np.abs(off).mean()))} {unit} on average, {say_percent(np.abs(off).mean() / size)} of "
         "the friction."
     )
-
-
-def _say_apart(portrait: Portrait, taught: Portrait, unit: str) -> str:
-    """Return the largest difference between two friction curves, with unit."""
-    kept = np.isfinite(portrait.at) & np.isfinite(portrait.law)
-    apart = np.abs(np.interp(portrait.at[kept], taught.at, taught.law) - portrait.law[kept])
-    return f"{format_number(float(apart.max()))} {unit}."
 
 
 def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.comparison.runs import Run
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.jobs import read_begun
 from frictionzoo.core.output import write_atomically
@@ -90,44 +89,22 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
     Raises:
         OutputError: The file cannot be written.
     """
-    write_atomically(path, render_run(path.parent, result, curves, replay))
+    write_atomically(path, _render(path.parent, result, curves, replay))
 
 
-def render_run(
-    folder: Path,
-    result: Result,
-    curves: Curves,
-    replay: Mapping[str, Any] | None,
-    teacher: Run | None = None,
-    template: str = "show/run.html.jinja",
-    links: Mapping[str, str] = LINKS,
-    **content: Any,
-) -> bytes:
-    """Render the page of a run.
-
-    Args:
-        folder: Folder of the run.
-        result: Content of `result.json`.
-        curves: Curves for the figures.
-        replay: As in `write_report`.
-        teacher: Run whose drive the student imitates, shown for comparison; None for none.
-        template: Template of the page; extends the template of a run.
-        links: Section titles by id.
-        content: Further variables of the template; they override those of a run.
-    """
+def _render(folder: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None) -> bytes:
     # A shared page must not reveal anyone's home directory; paths below the working directory become relative.
-    place, command = str(folder.absolute()), None if teacher else say_command(folder)
+    place, command = str(folder.absolute()), say_command(folder)
     known = {place, *list_paths_of(result, command)}
     place, command, result = without_paths([place, command, result], known, result["joints"], Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
-    joints = list_joints(result, teacher) if len(result["joints"]) > 1 else []
+    joints = list_joints(result) if len(result["joints"]) > 1 else []
     absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}
-    own = {
+    content = {
         "result": result,
         "verdict": result["verdict"],
         "joints": joints,
-        "links": [(key, text) for key, text in links.items() if key not in absent],
-        "teacher": teacher.result if teacher else None,
+        "links": [(key, text) for key, text in LINKS.items() if key not in absent],
         "place": place,
         "uses": list_uses(place, is_usable(result)),
         "usable": is_usable(result),
@@ -139,20 +116,20 @@ def render_run(
         "portrayed": PORTRAYED,
         "correlations": [correlate(result, joint) for joint in result["joints"]],
         "headline": _say_headline(result),
-        "errors": list(list_errors(result, teacher)),
+        "errors": list(list_errors(result)),
         "evaluations": list(_list_evaluations(result)),
         "timing": list_timing(result["timing"]),
         "files": {name: text for name, text in FILES.items() if name == "result.json" or (folder / name).exists()},
         "version": result["versions"]["frictionzoo"],
     }
     return render_page(
-        template,
-        plot_run(result, curves, teacher),
+        "show/run.html.jinja",
+        plot_run(result, curves),
         list(check_result(result)),
         points=max(LEAST, MOST // len(result["joints"])),
         state={"replay": replay},
         three=pack_library("three/three.min.js") if replay else "",
-        **{**own, **content},
+        **content,
     )
 
 
@@ -375,29 +352,26 @@ def _say_headline(result: Result) -> str:
     return f"{without} ({change})."
 
 
-def list_errors(result: Result, teacher: Run | None = None) -> Iterator[dict[str, Any]]:
-    """Return rows of the main table: errors of the model, of its teacher if it has one, and without friction."""
+def list_errors(result: Result) -> Iterator[dict[str, Any]]:
+    """Return rows of the main table: errors of the model and without friction."""
     test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
-    taught = teacher.result["metrics"]["test"] if teacher else None
-    return _compare_errors(test, baseline, taught, test)
+    return _compare_errors(test, baseline, test)
 
 
 def _compare_errors(
-    own: Mapping[str, Any], baseline: Mapping[str, Any], taught: Mapping[str, Any] | None, units: Mapping[str, Any]
+    own: Mapping[str, Any], baseline: Mapping[str, Any], units: Mapping[str, Any]
 ) -> Iterator[dict[str, Any]]:
     for name, (key, unit) in ERRORS.items():
         if key in own:
-            row = {"name": name, "unit": units[unit], "model": own[key], "baseline": baseline[key]}
-            yield row | ({"teacher": taught[key]} if taught else {})
+            yield {"name": name, "unit": units[unit], "model": own[key], "baseline": baseline[key]}
 
 
-def list_joints(result: Result, teacher: Run | None = None) -> list[dict[str, Any]]:
+def list_joints(result: Result) -> list[dict[str, Any]]:
     """Return for each joint its errors with and without friction, its parameters, and doubtful values."""
     test = result["metrics"]["test"]
     largest = max(result["by_joint"], key=lambda row: row["test"]["position_mae"] or 0.0)
     found = []
-    for place, row in enumerate(result["by_joint"]):
-        taught = teacher.result["by_joint"][place]["test"] if teacher else None
+    for row in result["by_joint"]:
         values = [
             (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
         ]
@@ -408,7 +382,7 @@ def list_joints(result: Result, teacher: Run | None = None) -> list[dict[str, An
         shown = {
             "name": row["joint"],
             "residual": residual,
-            "errors": list(_compare_errors(row["test"], row["baseline"], taught, test)),
+            "errors": list(_compare_errors(row["test"], row["baseline"], test)),
             "parameters": values,
             "open": row is largest,
         }

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure as Drawing
 
-from frictionzoo.comparison.runs import Run
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import HorizonRow, Result
 from frictionzoo.show import with_matplotlib
-from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TEACHER, TRAIN
+from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values
 from frictionzoo.show.friction_plots import find_units, plot_left, plot_portraits
 from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion, say_where
@@ -21,11 +20,10 @@ from frictionzoo.show.text import format_number, format_unit, say_origin
 COLUMNS = 4  # joints in a row of a sheet
 PHASE = 5.0  # duration in a phase plot [s]; beyond it, curves hide each other
 _FIRST = {"": 0}  # first long test rollout, from the paper's evaluation (a)
-TAUGHT: Mapping[str, Any] = {"name": "teacher", "color": TEACHER, "dash": (5.0, 2.0)}
 REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # reported iteration
 
 
-def plot_run(result: Result, curves: Curves, teacher: Run | None = None) -> dict[str, list[Figure]]:
+def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
     """Return all figures of one run by name; an empty list if there is nothing to show.
 
     In `portraits`, `phase`, `left` and `trajectories`, each joint has the same number of figures, in joint order.
@@ -33,17 +31,16 @@ def plot_run(result: Result, curves: Curves, teacher: Run | None = None) -> dict
     Args:
         result: Content of `result.json`.
         curves: Curves for the figures.
-        teacher: Run whose drive the student imitates, drawn for comparison; None for none.
     """
     shown = choose_rollouts(curves)
     return {
-        "portraits": list(plot_portraits(result, curves, teacher)),
-        "trajectories": list(_plot_trajectories(result, curves, shown, teacher)),
-        "error": list(_plot_errors(result, curves, shown, teacher)),
-        "phase": list(_plot_phases(result, curves, shown, teacher)),
+        "portraits": list(plot_portraits(result, curves)),
+        "trajectories": list(_plot_trajectories(result, curves, shown)),
+        "error": list(_plot_errors(result, curves, shown)),
+        "phase": list(_plot_phases(result, curves, shown)),
         "left": list(plot_left(result, curves)),
         "history": list(plot_history(result, curves)),
-        "horizons": [_plot_horizons(result, teacher)] if len(result["by_horizon"]) > 1 else [],
+        "horizons": [_plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
     }
 
 
@@ -147,15 +144,13 @@ def _draw_courses(
     yield Curve(x=np.full(len(columns), best), y=reached, name="reported", legend=several, **REPORTED)
 
 
-def _plot_trajectories(
-    result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None = None
-) -> Iterator[Figure]:
+def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     """Yield figure 4 for each joint and rollout: measured and simulated position and velocity."""
     test, timestep = result["metrics"]["test"], result["data"]["timestep"]
     duration = timestep * (curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(result["joints"]):
         for rank, rollout in shown.items():
-            drives = _list_drives(curves, rollout, teacher)
+            drives = _list_drives(curves, rollout)
             panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
             errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
             said = _say_each(drives, [_say_error(error, test["unit"]) for error in errors])
@@ -172,10 +167,10 @@ def _say_rank(rank: str, curves: Curves) -> str:
     return f"The {rank} of {count} long test rollouts: " if count > 1 else "The only long test rollout: "
 
 
-def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None) -> Iterator[Figure]:
+def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     """Yield velocity over position of each joint in the median rollout."""
     rank, rollout = list(shown.items())[(len(shown) - 1) // 2]
-    model, *_ = _list_drives(curves, rollout, teacher)
+    model, *_ = _list_drives(curves, rollout)
     units, kept = find_units(result), slice(1 + round(PHASE / result["data"]["timestep"]))
     for joint, name in enumerate(result["joints"]):
         (x, y), (at, speed) = (
@@ -190,13 +185,11 @@ def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int], teach
         yield Figure(f"Phase plot of {name}", text, (panel,))
 
 
-def _list_drives(curves: Curves, rollout: int, teacher: Run | None) -> list[Drive]:
-    """Return the model, its teacher if it has one, and the drive without friction."""
-    own = Drive(curves, {"name": "student" if teacher else "this model", "color": MODEL}, rollout=rollout)
-    baseline = {"name": "no friction", "color": BASELINE}
+def _list_drives(curves: Curves, rollout: int) -> list[Drive]:
+    """Return the model and the drive without friction."""
+    own, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
     return [
-        own,
-        *([Drive(teacher.curves, TAUGHT, rollout=rollout)] if teacher else []),
+        Drive(curves, own, rollout=rollout),
         Drive(curves, baseline, "baseline_", reference=True, rollout=rollout),
     ]
 
@@ -217,12 +210,10 @@ def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
     return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "undefined (diverged)"
 
 
-def _plot_errors(
-    result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None = None
-) -> Iterator[Figure]:
+def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     """Yield figure 5 for each rollout: moving mean +- standard deviation of the position error, mean over joints."""
     window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
-    each = [_list_drives(curves, rollout, teacher) for rollout in shown.values()]
+    each = [_list_drives(curves, rollout) for rollout in shown.values()]
     panels = draw_errors(each, result["data"]["timestep"], window, unit)
     for (rank, rollout), drives, panel in zip(shown.items(), each, panels, strict=True):
         largest = [f"{format_number(float(np.nanmax(drive.errors())))} {unit}" for drive in drives]
@@ -235,16 +226,14 @@ def _plot_errors(
         yield Figure(title, text, (panel,), time=True, rollout=rollout)
 
 
-def _plot_horizons(result: Result, teacher: Run | None) -> Figure:
-    """Return the position error at each horizon: test, training, teacher, and without friction."""
+def _plot_horizons(result: Result) -> Figure:
+    """Return the position error at each horizon: test, training, and without friction."""
     entries = _sort_horizons(result)
     unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
-    parts: list[tuple[Any, str, str, Any]] = [("test", "test", MODEL, entries), ("train", "train", TRAIN, entries)]
-    parts += [("test", "test, teacher", TEACHER, _sort_horizons(teacher.result))] if teacher else []
-    parts += [("baseline", "test, no friction", BASELINE, entries)]
+    parts = ("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE)
     marks, width, middle = [], 0.81 / len(parts), (len(parts) - 1) / 2
-    for i, (part, name, color, rows) in enumerate(parts):
-        errors = [(entry[part]["position_mae"], entry[part]["position_mae_std"]) for entry in rows]
+    for i, (part, name, color) in enumerate(parts):
+        errors = [(entry[part]["position_mae"], entry[part]["position_mae_std"]) for entry in entries]
         length, spread = np.array(errors, np.float64).T
         bars = {"at": places + width * (i - middle), "length": length, "spread": spread, "width": width}
         marks.append(Bars(name=name, color=color, upright=True, **bars))

@@ -93,28 +93,6 @@ def _arrange(
     return "\n\n".join(filter(None, blocks))
 
 
-def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, Any], folder: Path) -> str:
-    """Summarise a distillation: parameters, errors of student and teacher, their differences, folder and verdict.
-
-    `note` is the content of `distillation.json`.
-    """
-    student, teacher, note = (escape_all(each) for each in (student, teacher, note))
-    test, expected = (run["metrics"]["test"] for run in (student, teacher))
-    rows = [("RMS difference, student to teacher", "", "unit")]
-    rows += [(f"{d['quantity']}, {d['over']}", _format_value(d["rms"]), d["unit"]) for d in note["differences"]]
-    blocks = [
-        f"{student['model']} in place of {teacher['model']} on {_say_data(student['data'])}",
-        align(_list_parameters(student)),
-        align(_list_errors(test, expected, ("student", "teacher"))),
-        align(rows),
-        *note["notes"],
-        *([align(_list_written(student)), "\n".join(_list_limits(student))] if student["written"] else []),
-        f"files: {folder}",
-        "\n".join(_list_verdict(student)),
-    ]
-    return "\n\n".join(filter(None, blocks))
-
-
 def summarise_comparison(comparison: Comparison, folder: Path | None) -> str:
     """Summarise a comparison: runs best first, failed jobs, recommendation, and the folder of its files."""
     return "\n\n".join(_arrange_comparison(comparison, folder, align))

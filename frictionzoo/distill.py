@@ -1,0 +1,6 @@
+"""`python -m frictionzoo.distill`, see `frictionzoo.cli.distill`."""
+
+if __name__ == "__main__":
+    from frictionzoo.cli.commands import main
+
+    main("distill")
