@@ -93,7 +93,7 @@ def test_a_robots_file_has_the_steps_that_its_parameters_are_for(tmp_path: Path)
     own = ET.fromstring(ROBOT).find("option")
     assert option is not None and own is not None and option.attrib == own.attrib
     for integrator in ("implicitfast", "RK4"):
-        robot = put(fitted.at(timestep, integrator))
+        robot = put(fitted.at(timestep, integrator.lower()))
         option = robot.model.opt
         assert (option.timestep, mujoco.mjtIntegrator(option.integrator)) == (timestep, INTEGRATORS[integrator])
         assert "<option>" in robot.notes[0] and integrator in robot.notes[0]

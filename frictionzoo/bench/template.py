@@ -99,20 +99,21 @@ class Template:
         return other
 
     def with_integrator(self, integrator: str | None) -> "Template":
-        """Return the template with another integrator; None changes nothing.
+        """Return the template with another integrator, in upper or lower case; None changes nothing.
 
         Raises:
             ConfigError: The integrator is not supported.
         """
         if integrator is None:
             return self
-        if integrator not in INTEGRATORS.values():
+        known = {name.casefold(): name for name in INTEGRATORS.values()}
+        if str(integrator).casefold() not in known:
             raise ConfigError(f"bench.integrator={integrator}: {closest(str(integrator), INTEGRATORS.values())}")
         other = copy.copy(self)
         other._root = copy.deepcopy(self._root)
         _section(other._root, "option")
         for option in other._root.findall("option"):
-            option.set("integrator", integrator)
+            option.set("integrator", known[integrator.casefold()])
         return other
 
     def write(

@@ -34,6 +34,8 @@ def put_into_simulator(drive: "Identified", timestep: float | None, integrator: 
     """Return the drive for a simulator, as `Identified.at` does."""
     drive = drive.origin if drive.origin is not None and stands_in(drive) else drive
     settings, values, continuous = drive.result["settings"]["bench"], drive.values, drive.bench.second_order
+    if integrator is not None and integrator.casefold() == RK4.casefold():
+        integrator = RK4
     if integrator == RK4 and not continuous:
         raise ConfigError(
             f"integrator={RK4}: the parameters hold for steps of {drive.timestep:g} s, expected a drive in "
