@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 
 import frictionzoo as fz
 from frictionzoo.card.write import write_card
-from frictionzoo.cli.distill import distill
 from frictionzoo.cli.excite import main as excite
 from frictionzoo.cli.inspect import inspect_data
 from frictionzoo.cli.resume import recorded
+from frictionzoo.cli.student import distill
 from frictionzoo.comparison.files import FILES as COMPARISON
 from frictionzoo.comparison.files import write_comparison as write_real_comparison
 from frictionzoo.core.config import compose_config
