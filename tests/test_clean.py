@@ -370,6 +370,13 @@ def test_a_velocity_is_kept_where_it_is_more_accurate_than_the_estimate(rounding
         assert f"qvel lags qpos by {lag} ms" in " ".join(log.repairs)
 
 
+@pytest.mark.parametrize(("samples", "cutoff"), [(10, 10.0), (500, 60.0), (500, 1e-9)])
+def test_a_measured_velocity_needs_no_estimate(samples, cutoff):
+    recording = record(uniform(samples))
+    (log,) = clean(recording, cleaning(cutoff=cutoff))
+    assert log.qvel is recording.signals["qvel"]
+
+
 @pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != "sound"])
 def test_a_measured_velocity_that_shows_no_motion_is_refused(fault):
     recording, _ = record_joints(["sound", fault])

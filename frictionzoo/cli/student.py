@@ -32,7 +32,7 @@ _SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment")  # al
 def distill(folder: Path, options: Mapping[str, str]) -> None:
     """Fit a model to a drive's rollouts under the training commands, and compare both on the test recordings.
 
-    The student's folder is that of a run, with a comparison in `comparison/`.
+    The student's folder is a run folder, with a comparison in `comparison/`.
 
     Args:
         folder: Folder of the teacher's run.

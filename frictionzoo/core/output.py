@@ -29,13 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 RUN_FILES = (
-    *(
-        RESULT,
-        FAILURE,
-        "report.html",
-        "curves.safetensors",
-        "friction.safetensors",
-    ),
+    *(RESULT, FAILURE, "report.html", "curves.safetensors", "friction.safetensors"),
     *("identified.xml", "identified.urdf", "bench.xml", "checkpoints/last.ckpt", SETTLED),
     *(f"figures/{name}.png" for name in ("figure3_parameters", "figure4_trajectory", "figure5_error")),
     *(f".hydra/{name}.yaml" for name in ("config", "hydra", "overrides")),

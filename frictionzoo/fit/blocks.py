@@ -25,8 +25,7 @@ KEPT_STATES, KEPT_BLOCKS = 100_000, 2
 then not simulated with the states, and more states fit."""
 
 ON_ACCELERATOR = 40
-"""Factor on `BLOCK_STATES` and `KEPT_STATES` on a GPU or TPU; on an H100 it made the gradient of two million segments
-four times as fast."""
+"""Factor on `BLOCK_STATES` and `KEPT_STATES` on a GPU or TPU, which small blocks leave partly idle."""
 
 SHARED_STATES = 10_000
 """Least number of states for two blocks and two threads; with fewer states, half of them take as long as all."""

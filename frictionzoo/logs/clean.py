@@ -4,6 +4,7 @@
 because it is a parameter of the fit.
 """
 
+import contextlib
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +31,7 @@ from frictionzoo.logs.signals import (
     find_velocity_lag,
     repair_spikes,
 )
-from frictionzoo.logs.velocity import compare_velocities, find_dead_velocities, of_joints, say_worse
+from frictionzoo.logs.velocity import compare_velocities, find_dead_velocities, of_joints
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "resample": ("linear", "cubic"),
@@ -413,30 +414,22 @@ def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
     cutoff, order, qpos = cleaning.cutoff, cleaning.order, piece.signals["qpos"]
 
-    def estimate(joints: list[int]) -> np.ndarray:
-        return _each(estimate_velocity, qpos[:, joints], timestep, cutoff, order, name, "data.clean.cutoff")
+    def estimate() -> np.ndarray:
+        return _each(estimate_velocity, qpos, timestep, cutoff, order, name, "data.clean.cutoff")
 
+    estimates = None
     if "qvel" in piece.signals and cleaning.velocity == "auto":
+        with contextlib.suppress(LogError, ConfigError):  # a recording without an estimate keeps the measured velocity
+            estimates = estimate()
         joints = sorted({*range(qpos.shape[1])} - {*piece.without_velocity})
-        piece = piece.say(*compare_velocities(name, piece.time, qpos, piece.signals["qvel"], joints))
-        if cutoff < 0.5 / timestep:
-            piece = _leave_worse(piece, joints, estimate(joints))
+        said, worse = compare_velocities(name, piece.time, qpos, piece.signals["qvel"], joints, estimates)
+        piece = replace(piece, without_velocity=tuple(sorted({*piece.without_velocity, *worse}))).say(*said)
     if not piece.without_velocity:
         return piece
     lacking = list(piece.without_velocity)
     qvel = piece.signals.get("qvel", np.empty_like(qpos)).copy()
-    qvel[:, lacking] = estimate(lacking)
+    qvel[:, lacking] = (estimate() if estimates is None else estimates)[:, lacking]
     how = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
     return replace(piece, signals={**piece.signals, "qvel": qvel}).say(
         f"qvel{of_joints(lacking, qpos)} estimated from qpos: {how}"
     )
-
-
-def _leave_worse(piece: Piece, joints: Sequence[int], estimates: Float[np.ndarray, "time joints"]) -> Piece:
-    """Mark the joints whose measured velocity is less accurate than its estimate."""
-    qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
-    pairs = zip(joints, estimates.T, strict=True)
-    whys = {joint: say_worse(piece.time, qpos[:, joint], qvel[:, joint], each) for joint, each in pairs}
-    left = [joint for joint, why in whys.items() if why]
-    said = [f"qvel{of_joints([joint], qvel)} {whys[joint]}" for joint in left]
-    return replace(piece, without_velocity=tuple(sorted({*piece.without_velocity, *left}))).say(*said)

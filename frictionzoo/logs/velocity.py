@@ -55,23 +55,27 @@ def _find_fault(time: Signal, position: Signal, velocity: Signal, gap: float) ->
     return ""
 
 
-def compare_velocities(name: str, time: Signal, qpos: Columns, qvel: Columns, joints: Iterable[int]) -> list[str]:
+def compare_velocities(
+    name: str, time: Signal, qpos: Columns, qvel: Columns, joints: Iterable[int], estimates: Columns | None
+) -> tuple[list[str], list[int]]:
     """Compare measured velocities with positions.
 
     Args:
         name: Name of the recording, for messages.
-        time: Sample times [s].
+        time: Uniform sample times [s].
         qpos: Positions [rad or m].
         qvel: Velocities [rad/s or m/s].
         joints: Numbers of the joints to compare.
+        estimates: Velocities estimated from the positions [rad/s or m/s]; None to keep all measured ones.
 
     Returns:
-        A sentence about the joints whose velocity does not match the position's derivative; empty if all match.
+        A sentence about each joint whose velocity is less accurate than its estimate, and one about the joints whose
+        velocity does not match the position's derivative; and the numbers of the former joints.
 
     Raises:
         LogError: The units of a velocity and its position differ.
     """
-    unlike = []
+    worse, unlike = dict[int, str](), list[int]()
     for joint in joints if len(time) >= COMPARED else ():
         found = find_velocity_lag(time, repair_spikes(qpos[:, joint]), qvel[:, joint])
         if found is None:
@@ -82,31 +86,26 @@ def compare_velocities(name: str, time: Signal, qpos: Columns, qvel: Columns, jo
                 "about 1 (57.3: degrees, 9.55: rpm); set data.units, or data.clean.velocity=measured to use it "
                 "unchanged"
             )
-    if not unlike:
-        return []
-    return [
-        f"qvel{of_joints(unlike, qvel)} does not match the position's derivative: check for swapped columns, or "
-        "set data.clean.velocity=estimated"
-    ]
+        elif estimates is not None and (
+            why := _say_worse(qvel[:, joint], estimates[:, joint], found[0], float(time[1] - time[0]))
+        ):
+            worse[joint] = f"qvel{of_joints([joint], qvel)} {why}"
+    said = list(worse.values())
+    if unlike:
+        said.append(
+            f"qvel{of_joints(unlike, qvel)} does not match the position's derivative: check for swapped columns, or "
+            "set data.clean.velocity=estimated"
+        )
+    return said, list(worse)
 
 
-def say_worse(time: Signal, position: Signal, velocity: Signal, estimate: Signal) -> str:
+def _say_worse(velocity: Signal, estimate: Signal, lag: float, timestep: float) -> str:
     """Return why an estimate from the position is more accurate than the measured velocity; empty if it is not.
 
     The squared difference of both is the sum of the measurement's noise, its lag and the estimate's error. The noise
-    is found from differences of the velocity, and the part of the lag by removing it.
-
-    Args:
-        time: Uniform sample times [s].
-        position: Position [rad or m].
-        velocity: Measured velocity [rad/s or m/s].
-        estimate: Velocity estimated from the position [rad/s or m/s].
+    is found from differences of the velocity, and the part of the lag [s] by removing it.
     """
-    found = find_velocity_lag(time, repair_spikes(position), velocity) if len(time) >= COMPARED else None
-    if found is None:
-        return ""
-    lag, noise = found[0], find_noise(velocity)
-    samples = round(lag / float(time[1] - time[0]))  # whole ones, because interpolation would smooth the noise
+    noise, samples = find_noise(velocity), round(lag / timestep)  # interpolation within samples would smooth the noise
     difference, in_time = (
         float(np.square(_later(velocity, shift) - _later(estimate, -shift)).mean()) for shift in (0, samples)
     )
