@@ -20,7 +20,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.fit import Objective, Space
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 WAYS = ("leg by leg", "one problem")
 COLUMNS = {

@@ -18,12 +18,12 @@ from measure import make_parser, print_table, write_json
 from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
-from frictionzoo.checkup import Finding, find_all
-from frictionzoo.checkup.recordings import takes_position
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.logs.signals import estimate_velocity
+from frictionzoo.data.signals import estimate_velocity
+from frictionzoo.diagnostics import Finding, find_all
+from frictionzoo.diagnostics.recordings import takes_position
 
 FAULTY = ("twin_clean", "emps", "sts3215", "go2", "tx40")
 GOOD = ("go2", "sts3215", "xl330", "emps", "tx40", "kuka_lwr4", "twin", "twin_clean", "two_inertia")

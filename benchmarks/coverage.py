@@ -32,13 +32,13 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_rollouts, cut_segments
 from frictionzoo.core.state import DriveState
+from frictionzoo.data.twin import Excitation
 from frictionzoo.fit import LevenbergMarquardt, Objective, estimate_uncertainty
 from frictionzoo.fit.blocks import divide, into_blocks
 from frictionzoo.fit.loss import soft_width
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.pilot import Pilot
-from frictionzoo.logs.twin import Excitation
 from frictionzoo.models.base import sliding_torque
 
 RATE, SECONDS = 200, 20  # Hz, s of each data set

@@ -1,7 +1,7 @@
 """Confidence intervals from a designed command: `python benchmarks/excitation.py`.
 
 MuJoCo C records the hidden drive of `data=twin_clean` twice, with the same duration and sensors: under the paper's five
-harmonics, and under the command that `frictionzoo.excite` designs from the drive identified on the first recording,
+harmonics, and under the command that `frictionzoo.design` designs from the drive identified on the first recording,
 within its ranges of position, speed and torque. The table compares predicted intervals with those of
 `fit=lm segments.length=1000`.
 """
@@ -14,17 +14,17 @@ import numpy as np
 from measure import make_parser, print_table, write_json
 from omegaconf import OmegaConf
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import split_by_time
-from frictionzoo.excite.excitation import excite, prepare
-from frictionzoo.excite.information import relative
-from frictionzoo.excite.plan import Request
+from frictionzoo.data.twin import Twin
+from frictionzoo.design.excitation import excite, prepare
+from frictionzoo.design.information import relative
+from frictionzoo.design.plan import Request
 from frictionzoo.identification import Parts, Problem, solve
-from frictionzoo.logs.twin import Twin
-from frictionzoo.result.identified import Identified
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulation.context import computing
 
 COLUMNS = {
     "parameter": "parameter",

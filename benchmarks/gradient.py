@@ -29,9 +29,9 @@ from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import Engine, MjxEngine, Values, friction_of
-from frictionzoo.simulate.drive import Drive
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import Engine, MjxEngine, Values, friction_of
+from frictionzoo.simulation.drive import Drive
+from frictionzoo.simulation.rollout import make_rollout
 
 COLUMNS = {
     "case": "case",

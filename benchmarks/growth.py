@@ -116,7 +116,7 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
     from frictionzoo.core.segments import cut_segments
     from frictionzoo.fit import Objective, Space, run_fit
     from frictionzoo.fit.loop import Record
-    from frictionzoo.simulate.drive import Drive
+    from frictionzoo.simulation.drive import Drive
 
     settings = compose("model=mujoco_default", "fit=lm", f"segments.length={length}", "segments.count=null")
     bench = build(settings["bench"])

@@ -180,7 +180,7 @@ def run_ours(settings: dict[str, Any]) -> dict[str, Any]:
     """Identify with frictionzoo, as `python -m frictionzoo.run` does up to the parameters."""
     from frictionzoo.fit import run_fit
     from frictionzoo.identification import Problem
-    from frictionzoo.simulate.context import computing
+    from frictionzoo.simulation.context import computing
 
     with computing(settings["dtype"], settings["device"], settings["compilation_cache"]):
         problem = Problem.from_settings(settings)

@@ -29,8 +29,8 @@ from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit.chunk import begin, make_chunk
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.rollout import make_rollout
 
 NAMES = ("armature", "damping", "frictionloss")
 SEQUENCES = 39

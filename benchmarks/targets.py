@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from measure import make_parser, report
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench.compiled import INERTIAL
 from frictionzoo.core.errors import ExportError, FrictionzooError
 from frictionzoo.core.params import UNITS
@@ -27,7 +28,6 @@ from frictionzoo.export.motor import aim, lag, motors, read_inputs
 from frictionzoo.export.simulate import commands_before
 from frictionzoo.export.write import write_exports
 from frictionzoo.export.written import Written
-from frictionzoo.result.identified import Identified
 
 ROLLED = Path(__file__).parent / "rolled"
 COLUMNS = {

@@ -20,7 +20,7 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.fit import run_fit
 from frictionzoo.identification import Problem
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulation.context import computing
 
 COLUMNS = {
     "law": "law",

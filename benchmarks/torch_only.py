@@ -19,7 +19,7 @@ import frictionzoo as fz
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 COLUMNS = {
     "engine": "engine",

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import frictionzoo as fz
-from frictionzoo.show.colors import BASELINE, GRID, MEASURED, MODEL, TEXT
+from frictionzoo.report.colors import BASELINE, GRID, MEASURED, MODEL, TEXT
 
 PICTURE = Path(__file__).parent / "landing.svg"
 JOB = ("data=twin", "model=mujoco_default", "fit=lm", "loop.progress=false")

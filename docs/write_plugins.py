@@ -12,7 +12,7 @@ from frictionzoo.core.registry import KINDS
 from frictionzoo.models import FrictionModel, get_model
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.network import NetworkModel
-from frictionzoo.show.text import to_markdown
+from frictionzoo.report.text import to_markdown
 
 DOCS = Path(__file__).parent
 HEAD = """# Plug-ins

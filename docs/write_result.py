@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.card import record as card
-from frictionzoo.comparison import record as comparison
-from frictionzoo.inspect import survey
+from frictionzoo.diagnostics import survey
+from frictionzoo.report.card import record as card
 from frictionzoo.result import record as result
+from frictionzoo.result.comparison import record as comparison
 
 DOCS = Path(__file__).parent
 SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json

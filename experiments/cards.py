@@ -13,12 +13,12 @@ from pathlib import Path
 
 from reproduce import EXPERIMENTS, read_expected
 
-from frictionzoo.card.write import write_card
+from frictionzoo.bench.read_bam import BamDrive, read_bam
 from frictionzoo.cli.run import NOT_IDENTIFIED
-from frictionzoo.comparison.record import compare_runs
-from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.errors import ConfigError, FrictionzooError, RunError, closest
-from frictionzoo.export.read_bam import BamDrive, read_bam
+from frictionzoo.report.card.write import write_card
+from frictionzoo.result.comparison.record import compare_runs
+from frictionzoo.result.comparison.runs import read_runs
 
 RECORDED = ("xl330",)
 """BAM servos with recordings, in a data set of the same name."""

@@ -20,11 +20,11 @@ from typing import Any, cast
 
 import yaml
 
+from frictionzoo.api.comparison_files import write_comparison
 from frictionzoo.cli.run import NOT_IDENTIFIED
-from frictionzoo.comparison.files import write_comparison
-from frictionzoo.comparison.record import compare_runs
-from frictionzoo.comparison.runs import read_runs
-from frictionzoo.comparison.types import Comparison, RunRow
+from frictionzoo.result.comparison.record import compare_runs
+from frictionzoo.result.comparison.runs import read_runs
+from frictionzoo.result.comparison.types import Comparison, RunRow
 
 EXPERIMENTS = Path(__file__).parent
 PROGRAM = "python -m frictionzoo.run "

@@ -4,6 +4,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from frictionzoo.api.compared import Compared
+    from frictionzoo.api.design import design_recording
+    from frictionzoo.api.identified import Identified
+    from frictionzoo.api.library import compare, identify, law, load, read
     from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
     from frictionzoo.bench.actuators.force import Force
     from frictionzoo.bench.actuators.joint_pd import JointPD
@@ -12,20 +16,17 @@ if TYPE_CHECKING:
     from frictionzoo.bench.actuators.voltage_servo import VoltageServo
     from frictionzoo.bench.base import Bench
     from frictionzoo.bench.robot import Robot
-    from frictionzoo.comparison.compared import Compared
-    from frictionzoo.comparison.spread import spread
     from frictionzoo.core.log import Log
     from frictionzoo.core.params import Param
     from frictionzoo.core.state import DriveState, FrictionTerms
-    from frictionzoo.library import compare, identify, law, load, read
-    from frictionzoo.logs.clean import Cleaning
-    from frictionzoo.logs.logs import Logs
-    from frictionzoo.logs.split import Split
+    from frictionzoo.data.clean import Cleaning
+    from frictionzoo.data.logs import Logs
+    from frictionzoo.data.split import Split
     from frictionzoo.models.base import FrictionModel
     from frictionzoo.models.contract import check_model
     from frictionzoo.models.registry import register_model
-    from frictionzoo.result.identified import Identified
-    from frictionzoo.simulate.differentiable import rollout
+    from frictionzoo.result.comparison.spread import spread
+    from frictionzoo.simulation.differentiable import rollout
 
 __all__ = [
     "Bench",
@@ -48,6 +49,7 @@ __all__ = [
     "VoltageServo",
     "check_model",
     "compare",
+    "design_recording",
     "identify",
     "law",
     "load",
@@ -61,19 +63,20 @@ __version__ = "0.1.0"
 _HOMES = {
     **dict.fromkeys(("Bench", "Robot", "DcMotorPD", "Force", "JointPD"), "frictionzoo.bench"),
     **dict.fromkeys(("PositionPD", "RecordedPD", "VoltageServo"), "frictionzoo.bench"),
-    **dict.fromkeys(("compare", "identify", "law", "load", "read"), "frictionzoo.library"),
+    **dict.fromkeys(("compare", "identify", "law", "load", "read"), "frictionzoo.api.library"),
     **dict.fromkeys(("DriveState", "FrictionTerms"), "frictionzoo.core.state"),
     **dict.fromkeys(("FrictionModel", "register_model"), "frictionzoo.models"),
-    "Cleaning": "frictionzoo.logs.clean",
-    "Compared": "frictionzoo.comparison.compared",
-    "Identified": "frictionzoo.result.identified",
+    "Cleaning": "frictionzoo.data.clean",
+    "Compared": "frictionzoo.api.compared",
+    "Identified": "frictionzoo.api.identified",
     "Log": "frictionzoo.core.log",
-    "Logs": "frictionzoo.logs.logs",
+    "Logs": "frictionzoo.data.logs",
     "Param": "frictionzoo.core.params",
-    "Split": "frictionzoo.logs.split",
+    "Split": "frictionzoo.data.split",
+    "design_recording": "frictionzoo.api.design",
     "check_model": "frictionzoo.models.contract",
-    "rollout": "frictionzoo.simulate.differentiable",
-    "spread": "frictionzoo.comparison.spread",
+    "rollout": "frictionzoo.simulation.differentiable",
+    "spread": "frictionzoo.result.comparison.spread",
 }
 
 

@@ -26,7 +26,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.cli.run import main
-from frictionzoo.comparison.runs import Run
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import Segments
@@ -34,10 +33,11 @@ from frictionzoo.core.state import Signals
 from frictionzoo.fit.objective import Objective
 from frictionzoo.identification import Problem
 from frictionzoo.models.by_name import complete_laws
+from frictionzoo.report import comparison_figures, with_matplotlib
+from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.curves import Curves
-from frictionzoo.show import comparison_figures, with_matplotlib
-from frictionzoo.simulate.base import FORWARD
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulation.base import FORWARD
+from frictionzoo.simulation.context import computing
 
 # As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.
 torch.set_num_threads(1)

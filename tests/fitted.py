@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from conftest import trace_nothing
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, JointPD, Robot
 from frictionzoo.core.described import describe
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.models import MujocoDefault
-from frictionzoo.result.identified import Identified
 
 FREE = {"init": 0.1, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
 ERROR = 0.01

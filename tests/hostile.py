@@ -111,13 +111,13 @@ TARGETS = (
         "os.system",
         "subprocess.Popen",
         "builtins.exec",
-        "frictionzoo.excite.__main__.X",
+        "frictionzoo.design.__main__.X",
         "frictionzoo.cli.commands.main",
     ),
     *(
         "stranger.Law",
         "run.stranger.Law",
-        "frictionzoo.logs.files.Files",
+        "frictionzoo.data.files.Files",
         "frictionzoo.fit.loggers.Wandb",
         "torch.load",
     ),
@@ -312,7 +312,7 @@ def change_form(folder: Path, rng: random.Random) -> None:
             text.replace("frictionzoo", "stranger"),
             text.replace("knee", "\\ud800"),
         ),
-        text.replace("frictionzoo.bench", "frictionzoo.excite.__main__"),
+        text.replace("frictionzoo.bench", "frictionzoo.design.__main__"),
     )
     path.write_text(rng.choice(forms), encoding="utf-8")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.logs.recording import Recording
+from frictionzoo.data.recording import Recording
 
 SIGNALS = {
     "qpos": "position",

@@ -18,16 +18,16 @@ from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.core.state import DriveState, Signals
+from frictionzoo.data.two_inertia import TwoInertia
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.stages import Stages
-from frictionzoo.logs.two_inertia import TwoInertia
 from frictionzoo.models import Backlash
 from frictionzoo.models.backlash import _dead_zone
-from frictionzoo.simulate import Friction, friction_of, make_engine, without_memory
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import Friction, friction_of, make_engine, without_memory
+from frictionzoo.simulation.rollout import make_rollout
 
 MAKE = Callable[..., Any]
 QUIET = ("data.sensor.position_quantum=0", "data.sensor.velocity_noise=0")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
+from frictionzoo.bench.read_bam import LAWS, main, read_bam
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bam import friction_budget
-from frictionzoo.export.read_bam import LAWS, main, read_bam
 from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Problem
 from frictionzoo.models import get_model

@@ -20,8 +20,8 @@ from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.mujoco_default import MujocoDefault
-from frictionzoo.simulate.drive import Drive
-from frictionzoo.simulate.proof import Recorded, initial_values, prove
+from frictionzoo.simulation.drive import Drive
+from frictionzoo.simulation.proof import Recorded, initial_values, prove
 
 SECTION = {"low": 1e-3, "high": 10.0, "scale": "log", "identify": True}
 OFFSET = {"init": 0.01, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": True}

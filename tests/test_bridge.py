@@ -8,7 +8,7 @@ import torch
 
 from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.models import NeuralFriction
-from frictionzoo.simulate.bridge import as_torch_function, load_from_jax, to_jax
+from frictionzoo.simulation.bridge import as_torch_function, load_from_jax, to_jax
 
 
 def network() -> NeuralFriction:

@@ -21,14 +21,14 @@ from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.tilt import Tilt
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.mujoco_default import MujocoDefault
+from frictionzoo.report.run_page import check_result, write_report
+from frictionzoo.report.terminal import summarise
 from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.names import label_values, merge_known, name_some
 from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.verdict import doubt_joints, explain_failure
-from frictionzoo.show.run_page import check_result, write_report
-from frictionzoo.show.terminal import summarise
 
 SECTION: dict[str, Any] = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}
 JOINTS = ("FL_hip", "FL_knee", "FR_hip", "FR_knee")

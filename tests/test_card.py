@@ -23,15 +23,15 @@ from robot_texts import LEG
 from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
-from frictionzoo.card.portable import TEMPLATE, build_parts, describe_bench, place_settings, write_template
-from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, read_schema
-from frictionzoo.card.write import FILES, write_card
+from frictionzoo.api.identified import Identified
 from frictionzoo.cli.card import main
 from frictionzoo.core.anonymous import find_paths, list_paths, without_paths
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError
 from frictionzoo.core.manifest import MANIFEST
-from frictionzoo.result.identified import Identified
+from frictionzoo.report.card.portable import TEMPLATE, build_parts, describe_bench, place_settings, write_template
+from frictionzoo.report.card.record import CARD, MODEL, PAGE, PICTURE, read_schema
+from frictionzoo.report.card.write import FILES, write_card
 
 EXACT = 1e-9  # rad, rad/s
 LICENCE = {"licence": "cc-by-4.0"}
@@ -245,7 +245,7 @@ def settings(card: dict[str, Any]) -> dict[str, Any]:
     [
         (lambda folder: (folder / CARD).write_text("{"), "not JSON"),
         (lambda folder: (folder / CARD).write_text("[" * 100_000), "not JSON"),
-        (lambda folder: (folder / CARD).write_text('{"schema_version": 4}'), "schema_version 4, expected 3"),
+        (lambda folder: (folder / CARD).write_text('{"schema_version": 5}'), "schema_version 5, expected 4"),
         (
             lambda folder: (folder / MODEL).write_bytes((folder / MODEL).read_bytes()[:-8]),
             "SHA-256 .* get the card again",
@@ -269,7 +269,7 @@ class Executed:
         return (exec, ("import sys; sys.executed = True",))
 
 
-STRANGERS = ("os.system", "frictionzoo.export.__main__.main", "frictionzoo.logs.files.Files", "antigravity.Law", "x")
+STRANGERS = ("os.system", "frictionzoo.export.__main__.main", "frictionzoo.data.files.Files", "antigravity.Law", "x")
 
 
 @pytest.mark.parametrize("target", STRANGERS)
@@ -369,7 +369,7 @@ def test_a_failure_on_the_way_leaves_the_older_card(run: Path, own: Path, monkey
         raise OutputError("the disk is full")
 
     before = {path.name: path.read_bytes() for path in own.iterdir()}
-    monkeypatch.setattr("frictionzoo.card.write.save_portraits", fail)
+    monkeypatch.setattr("frictionzoo.report.card.write.save_portraits", fail)
     with pytest.raises(OutputError, match="disk is full"):
         write_card(run, LICENCE | {"output": str(own)})
     assert {path.name: path.read_bytes() for path in own.iterdir()} == before and len([*own.parent.iterdir()]) == 1

@@ -12,11 +12,11 @@ from conftest import finish, job_settings, needs_data, run_main
 from test_bam import M1, options, write_logs
 
 import frictionzoo as fz
-from frictionzoo.card.record import CARD, PAGE
-from frictionzoo.card.write import write_card
+from frictionzoo.bench.read_bam import read_bam
 from frictionzoo.cli.card import main
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.export.read_bam import read_bam
+from frictionzoo.report.card.record import CARD, PAGE
+from frictionzoo.report.card.write import write_card
 
 PUBLISHED = M1 | {"max_velocity": 5.3}
 SOURCE = "A. Maker, https://example.org/drives"

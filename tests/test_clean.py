@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 
 from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.data.clean import Cleaning, clean, summarise_repairs
+from frictionzoo.data.recording import Recording
 from frictionzoo.identification.noise import Noise
-from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
-from frictionzoo.logs.recording import Recording
 
 OPTIONS = {
     "step": None,

@@ -40,12 +40,12 @@ from frictionzoo.cli.commands import COMMANDS
 from frictionzoo.cli.inspect import _name_files
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, compose_config
-from frictionzoo.excite.excitation import prepare
-from frictionzoo.excite.plan import Request
+from frictionzoo.data import files
+from frictionzoo.data.formats import get_format
+from frictionzoo.design.excitation import prepare
+from frictionzoo.design.plan import Request
 from frictionzoo.identification import Problem
-from frictionzoo.logs import files
-from frictionzoo.logs.formats import get_format
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulation.context import computing
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "
 FILLED = {"MODEL": "coulomb_stribeck"}  # what a page leaves to its reader, and what stands for it here
@@ -263,7 +263,7 @@ def inspect(command: str, place: Place) -> None:
 
 
 def ask_for_excitation(command: str, place: Place) -> None:
-    """The drive that it chooses is one of which a recording tells; designing is tests/test_excite.py's."""
+    """The drive that it chooses is one of which a recording tells; designing is tests/test_design.py's."""
     with computing("float64"):
         options = dict(argument.split("=", 1) for argument in arguments_of(command))
         assert prepare(Request.read(options, None), None).sensitivity.space.names
@@ -399,10 +399,10 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         left_to("test_distill::test_mujocos_friction_is_near_what_slides"),
     ),
     (
-        r"python -m frictionzoo\.excite RUN position=1\.5 velocity=4 torque=2",
-        left_to("test_excite::test_a_runs_drive_gets_its_next_command"),
+        r"python -m frictionzoo\.design RUN position=1\.5 velocity=4 torque=2",
+        left_to("test_design::test_a_runs_drive_gets_its_next_command"),
     ),
-    (r"python -m frictionzoo\.excite position=.* bench=knee .*", ask_for_excitation),
+    (r"python -m frictionzoo\.design position=.* bench=knee .*", ask_for_excitation),
     (
         r"python -m frictionzoo\.compare multirun/\S+( outputs/\S+ --output comparison)?",
         left_to("test_compare::test_the_command_writes_into_the_folder_and_prints_the_table"),

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from test_report import VALUES, bench, build, dataset, evaluation, model  # noqa: F401
 
+from frictionzoo.api.comparison_files import write_comparison
 from frictionzoo.cli.compare import main
-from frictionzoo.comparison.files import write_comparison
-from frictionzoo.comparison.record import compare_runs, read_schema
-from frictionzoo.comparison.runs import Failure, read_runs
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.state import Signals
+from frictionzoo.result.comparison.record import compare_runs, read_schema
+from frictionzoo.result.comparison.runs import Failure, read_runs
 from frictionzoo.result.curves import Curves, read_curves, write_curves
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.record import write_result
@@ -269,8 +269,8 @@ def test_other_rollouts_are_refused(save, settings, text):
         ("result.json", b"{", "not JSON"),
         ("result.json", b"\xff", "not JSON"),
         ("result.json", b"[]", "list, expected an object"),
-        ("result.json", b'{"schema_version": 1}', "schema_version 1, expected 8; run it again"),
-        ("result.json", b'{"schema_version": 8}', "is a required property"),
+        ("result.json", b'{"schema_version": 1}', "schema_version 1, expected 9; run it again"),
+        ("result.json", b'{"schema_version": 9}', "is a required property"),
         ("curves.safetensors", b"", "expected the file that this version writes"),
         ("curves.safetensors", b"\x80\x04pickle", "expected the file that this version writes"),
         ("failure.json", b"7", "int, expected an object"),
@@ -310,7 +310,7 @@ def test_a_missing_file_is_said(zoo):
 def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, monkeypatch):
     monkeypatch.chdir(zoo.parent)
     drawn = []
-    figures = "frictionzoo.show.comparison_figures.write_figures"
+    figures = "frictionzoo.report.comparison_figures.write_figures"
     monkeypatch.setattr(figures, lambda folder, *_: drawn.append(str(folder)))
     main(["sweep"])
     written = json.loads(Path("sweep/comparison/comparison.json").read_text())

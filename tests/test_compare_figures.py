@@ -11,13 +11,13 @@ from matplotlib import colors
 from matplotlib.container import BarContainer
 from matplotlib.image import imread
 
-from frictionzoo.comparison.record import compare_runs, read_schema
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.output import write_atomically
+from frictionzoo.report.comparison_figures import arrange, write_figures
+from frictionzoo.report.comparison_plots import choose_looks
+from frictionzoo.report.with_matplotlib import draw, save_figure
+from frictionzoo.result.comparison.record import compare_runs, read_schema
 from frictionzoo.result.evaluate import moving_mean_and_std
-from frictionzoo.show.comparison_figures import arrange, write_figures
-from frictionzoo.show.comparison_plots import choose_looks
-from frictionzoo.show.with_matplotlib import draw, save_figure
 
 MAE = "position MAE [rad]"
 LABELS = ("stribeck", "smooth", "baseline")
@@ -278,8 +278,8 @@ def test_awkward_runs_are_drawn(make_runs, monkeypatch, tmp_path, labels, lost, 
         flat(figure).draw_without_rendering()
         path.touch()
 
-    monkeypatch.setattr("frictionzoo.show.comparison_figures.save_figure", save)
-    monkeypatch.setattr("frictionzoo.show.comparison_figures.FORMATS", ("png",))
+    monkeypatch.setattr("frictionzoo.report.comparison_figures.save_figure", save)
+    monkeypatch.setattr("frictionzoo.report.comparison_figures.FORMATS", ("png",))
     runs = make_runs(labels, joints, diverged=lost)
     write_atomically(tmp_path / "differences.png", b"of an older comparison")
     comparison = compare(runs)
@@ -330,7 +330,7 @@ def test_files_are_whole_and_the_same_each_time(runs, comparison, monkeypatch, t
     def save(figure, path):
         save_figure(flat(figure), path) if path.suffix == ".png" or path.stem in printed else path.touch()
 
-    monkeypatch.setattr("frictionzoo.show.comparison_figures.save_figure", save)
+    monkeypatch.setattr("frictionzoo.report.comparison_figures.save_figure", save)
     write_figures(tmp_path / "first", comparison, runs)
     assert dict(matplotlib.rcParams) == before
     paths = sorted(path for path in (tmp_path / "first").iterdir() if path.name != MANIFEST)

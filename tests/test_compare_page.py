@@ -14,16 +14,16 @@ from browser import CLIPPED, WIDTHS, needs_browser, open_page, read_data
 from test_html import HOSTILE, Page, judge_targets
 from test_report import bench, dataset, evaluation, model, of_joints, result  # noqa: F401
 
-from frictionzoo.comparison.record import compare_runs
-from frictionzoo.comparison.runs import Failure, Run, gather
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.state import Signals
+from frictionzoo.report.colors import BASELINE
+from frictionzoo.report.comparison_advice import list_next_steps
+from frictionzoo.report.comparison_page import check_comparison, write_page
+from frictionzoo.report.comparison_plots import choose_looks
+from frictionzoo.result.comparison.record import compare_runs
+from frictionzoo.result.comparison.runs import Failure, Run, gather
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.verdict import DO_NOT_USE
-from frictionzoo.show.colors import BASELINE
-from frictionzoo.show.comparison_advice import list_next_steps
-from frictionzoo.show.comparison_page import check_comparison, write_page
-from frictionzoo.show.comparison_plots import choose_looks
 
 LONG, SHORT, WINDOWS, TIMESTEP = 300, 100, 40, 0.001
 RUN = "python -m frictionzoo.run"
@@ -124,7 +124,7 @@ def test_the_page_opens_with_what_to_take_and_what_to_do(runs, tmp_path, monkeyp
     for run in runs:
         run.folder.mkdir()
         (run.folder / RESULT).touch()
-        suggest(run, f"{RUN} data=twin model=lugre", "python -m frictionzoo.excite")
+        suggest(run, f"{RUN} data=twin model=lugre", "python -m frictionzoo.design")
     source, comparison = show(tmp_path / "comparison.html", runs)
     text, chosen = plain(source), comparison["recommendation"]["run"]
     place = next(run.folder.name for run in runs if run.label == chosen)
@@ -135,7 +135,7 @@ def test_the_page_opens_with_what_to_take_and_what_to_do(runs, tmp_path, monkeyp
         "How to use",
         f"frictionzoo.export {place}",
     ]
-    asked += [f"fz.load('{place}')", "Next steps", "model=lugre", "frictionzoo.excite", "± sigma"]
+    asked += [f"fz.load('{place}')", "Next steps", "model=lugre", "frictionzoo.design", "± sigma"]
     places = [text.find(each) for each in asked]
     assert -1 not in places and places == sorted(places)
     page = Page(source)
@@ -164,13 +164,13 @@ def test_a_drive_that_is_not_to_be_used_goes_nowhere(runs, tmp_path, monkeypatch
     for run in runs:
         run.folder.mkdir()
         (run.folder / RESULT).touch()
-        suggest(run, f"{RUN} data=twin model=lugre", "python -m frictionzoo.excite", DO_NOT_USE)
+        suggest(run, f"{RUN} data=twin model=lugre", "python -m frictionzoo.design", DO_NOT_USE)
         verdict = run.result["verdict"]
         verdict["commands"] = [{"kind": "repair", "command": f"{RUN} data.clean.spikes=repair"}]
     source, _ = show(tmp_path / "comparison.html", runs)
     text = plain(source)
     assert "data.clean.spikes=repair" in text and "fz.load(" in text
-    assert not any(word in text for word in ("frictionzoo.export", "frictionzoo.excite", "identified.xml"))
+    assert not any(word in text for word in ("frictionzoo.export", "frictionzoo.design", "identified.xml"))
 
 
 def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811

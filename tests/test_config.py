@@ -28,10 +28,10 @@ from frictionzoo.core.config import (
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import cut_segments
+from frictionzoo.data.clean import Cleaning
+from frictionzoo.data.files import Files
+from frictionzoo.data.split import Split
 from frictionzoo.fit import Grid, Objective, loggers, run_fit
-from frictionzoo.logs.clean import Cleaning
-from frictionzoo.logs.files import Files
-from frictionzoo.logs.split import Split
 from frictionzoo.models import (
     Baseline,
     DissipativeNetwork,
@@ -177,7 +177,7 @@ def _choices(path: Path) -> list[str]:
         "frictionzoo.nowhere.Adam",
         "frictionzoo_evil.Adam",
         "frictionzoo.fit.loggers.TensorBoardLogger",  # a class of another package
-        "frictionzoo.logs.formats.Path",
+        "frictionzoo.data.formats.Path",
     ],
 )
 def test_build_refuses_foreign_targets(target: str) -> None:

@@ -19,10 +19,10 @@ from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit.chunk import search
 from frictionzoo.models import get_model
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.dry_friction import dry_friction
-from frictionzoo.simulate.linear import rows_of
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.dry_friction import dry_friction
+from frictionzoo.simulation.linear import rows_of
+from frictionzoo.simulation.rollout import make_rollout
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

@@ -22,11 +22,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from write_logs import OPTIONS, STORE, WRITERS, command, signals, write_bag, write_bam, write_log, write_npz
 
 from frictionzoo.core.errors import FrictionzooError, LogError
-from frictionzoo.logs.clean import Cleaning, clean
-from frictionzoo.logs.columns import propose, to_recording
-from frictionzoo.logs.formats import base, read_tables
-from frictionzoo.logs.formats.ros import _unpack
-from frictionzoo.logs.recording import Table
+from frictionzoo.data.clean import Cleaning, clean
+from frictionzoo.data.columns import propose, to_recording
+from frictionzoo.data.formats import base, read_tables
+from frictionzoo.data.formats.ros import _unpack
+from frictionzoo.data.recording import Table
 
 NAMES = sorted(WRITERS)
 # The same examples in every run, so that a library's fault in a file nobody has does not fail another's change.

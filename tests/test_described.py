@@ -10,8 +10,8 @@ from frictionzoo.bench import Force, PositionPD
 from frictionzoo.core.build import build
 from frictionzoo.core.described import Described, describe
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.data.files import Files
 from frictionzoo.fit import Adam, Grid, Known
-from frictionzoo.logs.files import Files
 from frictionzoo.models import NeuralFriction
 
 SECTION = {"init": 35.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}

@@ -20,7 +20,7 @@ COMPARE = """
 import sys
 from frictionzoo.fit import blocks
 from frictionzoo.cli.run import NOT_IDENTIFIED, main
-from frictionzoo.show import with_matplotlib
+from frictionzoo.report import with_matplotlib
 with_matplotlib.save_figure = lambda *_: None  # figures take long to render, and nobody looks
 devices = blocks.devices_of
 for name, own in {fits}.items():

@@ -8,9 +8,9 @@ from conftest import DATA, needs_data
 from recordings import make_recording, read_sts3215, read_xl330, simulate_servo
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.delay import estimate_delay
-from frictionzoo.logs.diagnose import diagnose, measure_timing
-from frictionzoo.logs.signals import (
+from frictionzoo.data.delay import estimate_delay
+from frictionzoo.data.diagnose import diagnose, measure_timing
+from frictionzoo.data.signals import (
     count_spikes,
     find_breaks,
     find_lag,

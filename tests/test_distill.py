@@ -16,12 +16,12 @@ from conftest import Finished, finish, job_settings
 from frictionzoo.cli.distill import main
 from frictionzoo.cli.export import main as export
 from frictionzoo.cli.run import NOT_IDENTIFIED
-from frictionzoo.comparison.record import compare_runs
-from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit import Objective
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
+from frictionzoo.result.comparison.record import compare_runs
+from frictionzoo.result.comparison.runs import read_runs
 
 
 @pytest.fixture(scope="module", autouse=True)

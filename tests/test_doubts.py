@@ -11,15 +11,15 @@ from conftest import needs_data
 
 from frictionzoo.bench import Bench, Force
 from frictionzoo.bench.regressor import inverse_torque
-from frictionzoo.checkup import check_up, find_all
-from frictionzoo.checkup.commands import takes_energy
-from frictionzoo.checkup.findings import Repair
-from frictionzoo.checkup.following import Followed, check_following
-from frictionzoo.checkup.lags import compare
-from frictionzoo.checkup.motion import check_motion
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.logs.twin import Twin
+from frictionzoo.data.twin import Twin
+from frictionzoo.diagnostics import check_up, find_all
+from frictionzoo.diagnostics.commands import takes_energy
+from frictionzoo.diagnostics.findings import Repair
+from frictionzoo.diagnostics.following import Followed, check_following
+from frictionzoo.diagnostics.lags import compare
+from frictionzoo.diagnostics.motion import check_motion
 from frictionzoo.result.verdict import doubt_gain, doubt_reference, explain_failure, list_moving
 
 ARMATURE = {"init": 50.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}

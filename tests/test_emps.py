@@ -11,8 +11,8 @@ from conftest import DATA, ROOT, needs_data
 from omegaconf import OmegaConf
 
 from frictionzoo.core.errors import ConfigError, LogError
-from frictionzoo.logs.emps import Emps
-from frictionzoo.logs.signals import estimate_velocity
+from frictionzoo.data.emps import Emps
+from frictionzoo.data.signals import estimate_velocity
 
 OPTIONS = {"name": "emps", "train": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat", "cutoff": 100.0, "order": 4}
 TIME = np.arange(500) * 1e-3

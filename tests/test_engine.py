@@ -12,8 +12,8 @@ from conftest import slow_but
 from test_specialised import BODIES, change, law, make_bench, random_cases, step_of, steps_in_c
 
 from frictionzoo.core.state import FrictionTerms, Signals
-from frictionzoo.simulate import MjxEngine, SpecialisedEngine, without_memory
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import MjxEngine, SpecialisedEngine, without_memory
+from frictionzoo.simulation.rollout import make_rollout
 
 ROD = "hinge with gravity"
 

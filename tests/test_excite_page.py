@@ -10,9 +10,9 @@ from browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
 from test_html import HOSTILE, Page, judge_targets
 
 from frictionzoo.core.config import compose_settings
-from frictionzoo.excite.page import check_command, write_page
-from frictionzoo.excite.steps import _list_drive_options
-from frictionzoo.excite.task import Motion
+from frictionzoo.design.steps import _list_drive_options
+from frictionzoo.design.task import Motion
+from frictionzoo.report.design_page import check_command, write_page
 
 HOME = "/home/somebody/runs/first"
 LIMITS = {"position": 1.5, "velocity": 4.0, "torque": 2.0}
@@ -41,7 +41,7 @@ def make_note(*joints: str) -> dict[str, Any]:
         "noise": {"quantum": 1e-3, "position_noise": 0.0, "velocity_noise": 0.05},
         "search": {"criterion": "determinant", "starts": 1, "iterations": 3, "seed": 0},
         **{"fit": {"length": 100}, "files": ["command.csv", "expected.csv"]},
-        "next": [{"purpose": "Another", "command": f"python -m frictionzoo.excite {HOME} velocity=4"}],
+        "next": [{"purpose": "Another", "command": f"python -m frictionzoo.design {HOME} velocity=4"}],
     }
 
 
@@ -66,7 +66,7 @@ def test_the_page_answers_what_will_be_known_and_what_to_do(tmp_path: Path, join
     assert "± 2.5 %" in page.text and "now ± 50 %" in page.text and "not identifiable" in page.text
     assert "94 %" in page.text and "(-1.5" not in page.text and "-1.5 to 1.5" in page.text
     assert "ros2 topic pub --once /joint_trajectory_controller/joint_trajectory " in page.text
-    assert "python -m frictionzoo.excite first velocity=4" in page.text
+    assert "python -m frictionzoo.design first velocity=4" in page.text
     assert "somebody" not in source and not page.with_attribute("onerror")
     judge_targets(source)
     places = [each["id"] for each in page.with_attribute("id")]

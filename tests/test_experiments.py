@@ -18,7 +18,7 @@ from conftest import check_each, needs_data
 import frictionzoo as fz
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.state import DriveState
-from frictionzoo.logs import files
+from frictionzoo.data import files
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "experiments"

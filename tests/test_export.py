@@ -10,6 +10,7 @@ import pytest
 import torch
 from conftest import trace_nothing
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
@@ -19,10 +20,9 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
-from frictionzoo.result.identified import Identified
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.bridge import to_jax
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.bridge import to_jax
+from frictionzoo.simulation.rollout import make_rollout
 
 ANOTHER = {"frictionloss": 0.3, "damping": 0.1}
 EXACT = "represented exactly"

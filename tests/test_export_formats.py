@@ -19,6 +19,8 @@ from conftest import slow_but, trace_nothing
 from omegaconf import OmegaConf
 
 from frictionzoo import __version__
+from frictionzoo.api.identified import Identified
+from frictionzoo.bench.read_bam import LAWS, read_bam
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, ExportError
@@ -31,11 +33,9 @@ from frictionzoo.export.isaaclab import IsaacLab
 from frictionzoo.export.mjlab import Mjlab
 from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.export.read_bam import LAWS, read_bam
 from frictionzoo.export.written import Export
 from frictionzoo.models import FrictionModel, get_model, model_names
 from frictionzoo.models.by_name import complete_laws
-from frictionzoo.result.identified import Identified
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 ROOT = Path(__file__).parent.parent

@@ -15,6 +15,7 @@ from conftest import DATA, needs_data
 from fitted import fit
 from robot_texts import ARM, LEG, changed, save
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import JointPD
 from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
@@ -24,7 +25,6 @@ from frictionzoo.export.isaaclab import IsaacLab
 from frictionzoo.export.mjlab import Mjlab
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.robot import Equipped, put_into, say_whole
-from frictionzoo.result.identified import Identified
 
 INTEGRATORS = {"implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST, "RK4": mujoco.mjtIntegrator.mjINT_RK4}
 EXACT = 1e-9  # N m or rad; rounding stays far below

@@ -17,6 +17,7 @@ from conftest import trace_nothing
 from omegaconf import OmegaConf
 from test_levels import imports
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, Robot
 from frictionzoo.cli.export import main
 from frictionzoo.core.build import build
@@ -43,7 +44,6 @@ from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.models.network import NetworkModel
-from frictionzoo.result.identified import Identified
 
 PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
 ROOT = Path(__file__).parent.parent

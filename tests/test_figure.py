@@ -4,8 +4,8 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 
-from frictionzoo.show import with_matplotlib, with_plotly
-from frictionzoo.show.figure import Axis, Band, Bars, Curve, Figure, Panel, Sheet, Stripe, scale_errors, scale_values
+from frictionzoo.report import with_matplotlib, with_plotly
+from frictionzoo.report.figure import Axis, Band, Bars, Curve, Figure, Panel, Sheet, Stripe, scale_errors, scale_values
 
 X, Y = np.array([1.0, 2.0, 3.0]), np.array([0.1, np.nan, 0.4])
 FIGURE = Figure(

@@ -16,9 +16,9 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, LogError
-from frictionzoo.logs.files import Files
-from frictionzoo.logs.units import UNITS as SI
-from frictionzoo.logs.units import ratio, to_si
+from frictionzoo.data.files import Files
+from frictionzoo.data.units import UNITS as SI
+from frictionzoo.data.units import ratio, to_si
 
 NAMES = ("a.csv", "b.csv", "c.csv")
 LETTER = r"(?P<letter>[abc])\.csv"
@@ -258,7 +258,7 @@ def test_headers_and_units_are_proposed_once(
     for name in NAMES:
         (tmp_path / name).write_text(table(100).replace("time,qpos,qvel,ctrl", "t [ms],angle,speed,command"))
     nothing = {"columns": {}, "units": {}}
-    with caplog.at_level("INFO", "frictionzoo.logs.files"):
+    with caplog.at_level("INFO", "frictionzoo.data.files"):
         recordings = files("data.train='*.csv'", **nothing).recordings()
     (line,) = (record.getMessage() for record in caplog.records)
     assert "in a.csv: " in line and "data.columns.qpos=[angle]" in line and "data.units.time=ms" in line
@@ -279,7 +279,7 @@ def test_what_cleaning_changed_is_said_once(
 ) -> None:
     for name in NAMES[:2]:
         (tmp_path / name).write_text(table(100).replace("\n0.05,", "\n0.055,"))
-    with caplog.at_level("INFO", "frictionzoo.logs.files"):
+    with caplog.at_level("INFO", "frictionzoo.data.files"):
         dataset = files("data.train='*.csv'").load()
     (line,) = (record.getMessage() for record in caplog.records)
     assert "2 of 3 logs: resampled" in line

@@ -28,8 +28,8 @@ from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loggers import TensorBoard
 from frictionzoo.fit.loop import Record
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.rollout import Rollout, make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.rollout import Rollout, make_rollout
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
 TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}

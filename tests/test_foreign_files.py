@@ -18,13 +18,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import frictionzoo as fz
-from frictionzoo.card.write import write_card
-from frictionzoo.cli.excite import main as excite
+from frictionzoo.api.comparison_files import FILES as COMPARISON
+from frictionzoo.api.comparison_files import write_comparison as write_real_comparison
+from frictionzoo.cli.design import main as excite
 from frictionzoo.cli.inspect import inspect_data
 from frictionzoo.cli.resume import recorded
 from frictionzoo.cli.student import distill
-from frictionzoo.comparison.files import FILES as COMPARISON
-from frictionzoo.comparison.files import write_comparison as write_real_comparison
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import OutputError
 from frictionzoo.core.manifest import MANIFEST, Manifest
@@ -40,6 +39,7 @@ from frictionzoo.core.output import (
 )
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit.loggers import Csv, TensorBoard
+from frictionzoo.report.card.write import write_card
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 EXAMPLES = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))

@@ -19,14 +19,14 @@ from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout
 
 from frictionzoo.core.anonymous import without_paths
 from frictionzoo.core.telling import say_percent
+from frictionzoo.report import with_plotly
+from frictionzoo.report.rollouts import say_where
+from frictionzoo.report.run_page import MOST, check_result, correlate, write_report
+from frictionzoo.report.run_plots import choose_rollouts, plot_run
+from frictionzoo.report.text import format_change
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.verdict import still_falling
-from frictionzoo.show import with_plotly
-from frictionzoo.show.rollouts import say_where
-from frictionzoo.show.run_page import MOST, check_result, correlate, write_report
-from frictionzoo.show.run_plots import choose_rollouts, plot_run
-from frictionzoo.show.text import format_change
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 

@@ -28,9 +28,9 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, LogError, RunError
 from frictionzoo.core.manifest import MANIFEST
+from frictionzoo.data.logs import Logs
 from frictionzoo.fit import Adam
 from frictionzoo.identification.choices import OPTIONAL, is_open
-from frictionzoo.logs.logs import Logs
 
 ARMATURE = 0.02  # kg m^2, of the recorded drive
 STAND = """<mujoco model="stand">
@@ -90,7 +90,7 @@ named.save("named")
 """
 HOLDS = """\
 import numpy as np
-from frictionzoo.show.terminal import summarise
+from frictionzoo.report.terminal import summarise
 
 def hold(drive, folder):
     again = fz.load(folder)

@@ -19,11 +19,11 @@ from write_logs import write_csv
 
 from frictionzoo.cli.inspect import main
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.inspect.page import write_page
-from frictionzoo.inspect.survey import list_recordings, put_in_order, rank_by_faults, read_schema, survey_recordings
-from frictionzoo.inspect.terminal import list_quantities, summarise
-from frictionzoo.logs.files import Files
-from frictionzoo.logs.recording import Recording
+from frictionzoo.data.files import Files
+from frictionzoo.data.recording import Recording
+from frictionzoo.diagnostics.survey import list_recordings, put_in_order, rank_by_faults, read_schema, survey_recordings
+from frictionzoo.report.inspection_page import write_page
+from frictionzoo.report.inspection_terminal import list_quantities, summarise
 
 TIME = 0.01 * np.arange(1000)
 BACK = np.where(TIME % 1 < 0.9, 0.1, -9.0)  # forward too slowly to count

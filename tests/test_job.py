@@ -18,15 +18,15 @@ from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from frictionzoo import __version__
+from frictionzoo.api.identified import Identified
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bench import write_identified
 from frictionzoo.identification import Problem
 from frictionzoo.identification.solve import judge_baseline
 from frictionzoo.models import Baseline, FrictionModel
-from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import read_schema
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 JOBS = {  # options besides those of `tiny`
     "mujoco_grid_search": ("fit.points=2",),

@@ -16,16 +16,16 @@ import torch
 
 import frictionzoo as fz
 from frictionzoo.bench import Actuator, Bench
-from frictionzoo.checkup import check_up
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import Signals
+from frictionzoo.diagnostics import check_up
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.proof import TOLERANCE, Recorded, initial_values, prove
-from frictionzoo.simulate.rollout import applied, make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.proof import TOLERANCE, Recorded, initial_values, prove
+from frictionzoo.simulation.rollout import applied, make_rollout
 
 LEG = """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="{}"><flag contact="disable"/></option>
   <worldbody><body><joint name="hip" axis="0 1 0"/><geom type="capsule" size=".03" fromto="0 0 0 0 0 -.2" mass="1.2"/>

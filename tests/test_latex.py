@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from frictionzoo.comparison.record import compare_runs
-from frictionzoo.comparison.runs import Failure
-from frictionzoo.show.latex import escape, tabulate_latex
+from frictionzoo.report.latex import escape, tabulate_latex
+from frictionzoo.result.comparison.record import compare_runs
+from frictionzoo.result.comparison.runs import Failure
 
 LABELS = ("stribeck", "smooth", "baseline")
 HOSTILE = r"""a_b $x$ \input{/etc/hosts} 50% & {#1} ~^ <>| "q" [x]"""

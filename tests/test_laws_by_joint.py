@@ -21,8 +21,8 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Space
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate.drive import Drive, looks_at_one_joint
-from frictionzoo.simulate.proof import Recorded, initial_values, prove
+from frictionzoo.simulation.drive import Drive, looks_at_one_joint
+from frictionzoo.simulation.proof import Recorded, initial_values, prove
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

@@ -27,7 +27,7 @@ from frictionzoo.core.state import FrictionTerms, Signals
 from frictionzoo.models import TorchFriction, register_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.result.curves import read_curves
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 BATCH, TIME = 3, 40
 UNCHECKED = inspect.unwrap(fz.rollout)  # as users have it: tests check types at run time

@@ -11,15 +11,15 @@ import pytest
 from omegaconf import OmegaConf
 from test_bam import M5, options, write, write_logs  # noqa: F401 - write is a fixture
 
+from frictionzoo.bench.read_bam import read_bam
 from frictionzoo.core.log import Log, Payload
 from frictionzoo.core.segments import cut_segments
-from frictionzoo.export.read_bam import read_bam
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Problem
 from frictionzoo.result.evaluate import predict
-from frictionzoo.simulate import Values, friction_of, make_engine
-from frictionzoo.simulate.rollout import Rollout, make_rollout
+from frictionzoo.simulation import Values, friction_of, make_engine
+from frictionzoo.simulation.rollout import Rollout, make_rollout
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

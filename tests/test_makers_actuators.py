@@ -31,9 +31,9 @@ from frictionzoo.bench import Actuator
 from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.core.errors import BenchError, FrictionzooError
 from frictionzoo.models.mujoco_default import MujocoDefault
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.proof import Cases, simulate_in_c
-from frictionzoo.simulate.rollout import applied, make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.proof import Cases, simulate_in_c
+from frictionzoo.simulation.rollout import applied, make_rollout
 
 VARIANTS = dict(variants())
 SAME = 1e-9

@@ -21,8 +21,8 @@ from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.contract import check_model
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.rollout import make_rollout
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

@@ -27,8 +27,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import frictionzoo as fz
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Robot, VoltageServo
-from frictionzoo.card.write import write_card
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.manifest import MANIFEST
@@ -36,14 +36,14 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.core.templates import Code, write_literal, write_yaml
 from frictionzoo.core.xml import write_comment, write_xml
-from frictionzoo.excite.write import table
+from frictionzoo.design.write import table
 from frictionzoo.export.base import get_target, match_joint, target_names
 from frictionzoo.export.in_place import InPlace
 from frictionzoo.export.module import write_module
 from frictionzoo.export.native import write_native
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models import Dahl, MujocoDefault
-from frictionzoo.result.identified import Identified
+from frictionzoo.report.card.write import write_card
 from frictionzoo.result.values import list_values
 
 PLAIN = ("plain_one", "plain_two")

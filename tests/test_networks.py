@@ -14,7 +14,7 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import DissipativeNetwork, FrictionModel, NeuralFriction, OddNetwork, ResidualNetwork
 from frictionzoo.models.dissipative_network import softplus
 from frictionzoo.models.odd_network import reverse
-from frictionzoo.simulate.bridge import to_jax
+from frictionzoo.simulation.bridge import to_jax
 
 STATES = 125_000  # times 8 seeds of weights make a million
 SIZES = [0.1, 1.0, 10.0, 100.0]  # of the weights: of a fresh network, and of one that a fit has driven far

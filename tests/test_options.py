@@ -22,7 +22,7 @@ from frictionzoo.core.state import DriveState
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
 from frictionzoo.identification import problem
-from frictionzoo.simulate.proof import Proof
+from frictionzoo.simulation.proof import Proof
 
 VALUES = (float("nan"), float("inf"), None, "", 0, -1, 1e9, "absurd", [])
 NAMED = VALUES[:4]  # what never is the matter of another option

@@ -13,8 +13,8 @@ from write_logs import EPOCH, write_csv, write_mat, write_npz, write_parquet, wr
 import frictionzoo as fz
 from frictionzoo.core.errors import BenchError, ConfigError, LogError
 from frictionzoo.core.log import Columns
-from frictionzoo.logs.files import Files
-from frictionzoo.logs.pairing import arrange, describe_columns, label, pair
+from frictionzoo.data.files import Files
+from frictionzoo.data.pairing import arrange, describe_columns, label, pair
 
 GO2 = tuple(f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf"))
 SPELLINGS: dict[str, Callable[[str], str]] = {

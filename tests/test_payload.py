@@ -18,13 +18,13 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Log, Payload
+from frictionzoo.data.recording import Recording
+from frictionzoo.data.select import choose_payloads
 from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Problem
-from frictionzoo.logs.recording import Recording
-from frictionzoo.logs.select import choose_payloads
 from frictionzoo.result.evaluate import Evaluation, predict
 from frictionzoo.result.record import describe_data
-from frictionzoo.simulate import Engine, MjxEngine, SpecialisedEngine
+from frictionzoo.simulation import Engine, MjxEngine, SpecialisedEngine
 
 PAYLOADS = [
     Payload(0.7, (0.02, -0.01, -0.2), (0.001, 0.002, 0.0015)),

@@ -26,7 +26,7 @@ from frictionzoo.fit import run_fit
 from frictionzoo.identification import Problem
 from frictionzoo.models import get_model
 from frictionzoo.models.contract import check_model
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulation.context import computing
 
 TABLE = re.findall(r"^\| (\w+) \| (\d) \|", (ROOT / "CONTRIBUTING.md").read_text(), re.M)
 FILES = {kind: int(count) for kind, count in TABLE}
@@ -82,7 +82,7 @@ SOURCE = '''
 import numpy as np
 
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.logs.source import Source, register_source
+from frictionzoo.data.source import Source, register_source
 
 @register_source("still")
 class Still(Source):
@@ -97,8 +97,8 @@ class Still(Source):
         return Dataset(self.name, (logs[0],), (logs[1],))
 '''
 FORMAT = '''
-from frictionzoo.logs.formats import Format, register_format
-from frictionzoo.logs.formats.csv import Csv
+from frictionzoo.data.formats import Format, register_format
+from frictionzoo.data.formats.csv import Csv
 
 @register_format("semicolons")
 class Semicolons(Csv):
@@ -252,7 +252,7 @@ def test_an_actuator_is_one_file(add: Callable[..., None], capsys: pytest.Captur
 
 
 def test_a_source_is_two_files(add: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
-    add("sources", "still", SOURCE, "data", "_target_: frictionzoo.logs.still.Still\nname: still\nsamples: 7\n")
+    add("sources", "still", SOURCE, "data", "_target_: frictionzoo.data.still.Still\nname: still\nsamples: 7\n")
     assert listed(capsys, "sources")["still"] == ["frictionzoo", "data=still", "A drive that stands still."]
     dataset = build(settings_of("data=still")["data"]).load()
     assert dataset.name == "still" and [len(log.time) for log in dataset.logs] == [7, 7]
@@ -261,7 +261,7 @@ def test_a_source_is_two_files(add: Callable[..., None], capsys: pytest.CaptureF
 def test_a_format_is_one_file(add: Callable[..., None], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     add("formats", "semicolons", FORMAT)
     assert listed(capsys, "formats")["semicolons"][1] == "data.format=semicolons"
-    from frictionzoo.logs.formats import read_tables
+    from frictionzoo.data.formats import read_tables
 
     (tmp_path / "a.ssv").write_text("time;qpos\n0;1\n1;2\n")
     for asked in ("auto", "semicolons"):
@@ -351,7 +351,7 @@ def test_two_files_of_one_name_are_refused(add: Callable[..., None], capsys: pyt
     add("formats", "semicolons", FORMAT.replace('"semicolons"', '"csv"'))
     with pytest.raises(SystemExit, match="2"):
         main(["formats"])
-    home = "frictionzoo.logs.formats"
+    home = "frictionzoo.data.formats"
     line = f"frictionzoo: csv: registered by {home}.csv.Csv and {home}.semicolons.Semicolons; "
     assert capsys.readouterr().err == f"{line}rename one\n"
 

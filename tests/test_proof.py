@@ -15,9 +15,9 @@ from frictionzoo.bench.actuators.position_pd import PositionPD
 from frictionzoo.core.errors import BenchError
 from frictionzoo.core.state import FrictionTerms, Signals
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import mjx, specialised
-from frictionzoo.simulate.base import without_memory
-from frictionzoo.simulate.proof import TOLERANCE, Proof, Recorded, initial_values, prove
+from frictionzoo.simulation import mjx, specialised
+from frictionzoo.simulation.base import without_memory
+from frictionzoo.simulation.proof import TOLERANCE, Proof, Recorded, initial_values, prove
 
 LINK = """<mujoco><compiler angle="radian"/><option timestep="0.002" {option}>{flag}</option>{more}<worldbody>
   <body name="arm"><joint name="j" axis="0 1 0" {joint}/><geom type="capsule" size=".02" fromto="0 0 0 0 0 -.2"/></body>
@@ -137,6 +137,6 @@ def test_a_fault_in_an_engine_is_caught(
         lambda data, signals: (state := right(data, signals))._replace(motor_torque=(1 + 1e-6) * state.motor_torque)
     )
     monkeypatch.setattr(module, place, wrong)
-    monkeypatch.setattr("frictionzoo.simulate.proof._find_fault", lambda *_: None)
+    monkeypatch.setattr("frictionzoo.simulation.proof._find_fault", lambda *_: None)
     with pytest.raises(BenchError, match=r"does not simulate something in the MJCF as MuJoCo C does \(position or"):
         prove_on("mujoco_default" if engine == "specialised" else "load_dependent", engine)

@@ -21,6 +21,7 @@ from robot_texts import LEG, save
 from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
+from frictionzoo.api.identified import Identified
 from frictionzoo.cli.export import main
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.manifest import MANIFEST
@@ -30,7 +31,6 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.randomisation import write_files
 from frictionzoo.export.variants import Quantity, Range, draw_variants
 from frictionzoo.export.written import Written
-from frictionzoo.result.identified import Identified
 
 ROOT = Path(__file__).parent.parent
 EXACT = 1e-9  # rad; rounding of some hundred steps stays far below
@@ -136,7 +136,7 @@ def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Id
     ("options", "message"),
     {
         "vague": ({}, r"friction\.damping: not identifiable on the run's recordings, expected a range.*'ranges=\{"),
-        "excite": ({}, r"\(python -m frictionzoo\.excite\) and export that run$"),
+        "excite": ({}, r"\(python -m frictionzoo\.design\) and export that run$"),
         "name": ({"ranges": "{bench.armatur: [1, 2]}"}, r"bench\.armatur: no such parameter.*did you mean bench\.arm"),
         "joint": ({"ranges": "{bench.armature/hip: [1, 2]}"}, r"bench\.armature/hip: no such parameter"),
         "text": ({"ranges": "wide"}, r"ranges=wide: expected shares of values by name"),

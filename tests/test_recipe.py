@@ -14,6 +14,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import cut_segments
+from frictionzoo.data.signals import find_noise
 from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.choices import Choice, imply
@@ -22,7 +23,6 @@ from frictionzoo.identification.noise import Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
 from frictionzoo.identification.problem import Parts, _divide_interval
 from frictionzoo.identification.stages import hold_back
-from frictionzoo.logs.signals import find_noise
 
 TIMESTEP, DELAY = 0.005, 0.012
 PULL = 0.2  # N m, constant

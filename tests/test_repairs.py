@@ -15,17 +15,17 @@ from omegaconf import OmegaConf
 import frictionzoo as fz
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.given import Given
-from frictionzoo.checkup import check_up
-from frictionzoo.checkup.findings import Repair
 from frictionzoo.core.config import compose_config
+from frictionzoo.data.files import Files
+from frictionzoo.diagnostics import check_up
+from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.identification.repairs import bench_call, complete_options, logs_call
-from frictionzoo.logs.files import Files
+from frictionzoo.report.run_page import list_uses
+from frictionzoo.report.terminal import summarise
 from frictionzoo.result.verdict import DO_NOT_USE, is_usable, judge
-from frictionzoo.show.run_page import list_uses
-from frictionzoo.show.terminal import summarise
 
 KP, KD = 20 * 0.151, 0.151  # N m/rad, N m s/rad
-HARDWARE = ("frictionzoo.export", ".export(", "frictionzoo.excite", "excite(")
+HARDWARE = ("frictionzoo.export", ".export(", "frictionzoo.design", "excite(")
 Run = Callable[[str], tuple[Path, Finished]]
 
 
@@ -96,7 +96,7 @@ def spoil(finished_run: Run) -> dict[str, Any]:
     result = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
     spoilt = copy.deepcopy(result) | {"not_identified": ["friction ended at its bounds", "gains"]}
     rows = {"inspect": "python -m frictionzoo.inspect", "law": "python -m frictionzoo.run model=ripple"}
-    rows |= {"recording": "python -m frictionzoo.excite a torque=8.4", "export": "python -m frictionzoo.export a"}
+    rows |= {"recording": "python -m frictionzoo.design a torque=8.4", "export": "python -m frictionzoo.export a"}
     commands: Any = [{"kind": kind, "command": command} for kind, command in rows.items()]
     return spoilt | {"verdict": judge(spoilt, commands)}  # pyright: ignore
 

@@ -11,10 +11,10 @@ from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout
 
 from frictionzoo.bench import Bench, PositionPD, Robot
 from frictionzoo.core.log import Payload
+from frictionzoo.report import replay
+from frictionzoo.report.replay import FINEST, record_replay
+from frictionzoo.report.run_page import write_report
 from frictionzoo.result.evaluate import Prediction
-from frictionzoo.show import replay
-from frictionzoo.show.replay import FINEST, record_replay
-from frictionzoo.show.run_page import write_report
 
 OFFSET = np.array([0.1, -0.05, 0.02])
 INERTIAL = '<inertial pos="0.01 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>'

@@ -25,14 +25,14 @@ from frictionzoo.core.state import Signals
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
+from frictionzoo.report.figure import Sheet
+from frictionzoo.report.run_plots import draw_rollout, plot_run, write_figures
+from frictionzoo.report.terminal import summarise
+from frictionzoo.report.with_matplotlib import draw
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Prediction
 from frictionzoo.result.record import Findings, build_result, read_schema, write_result
-from frictionzoo.show.figure import Sheet
-from frictionzoo.show.run_plots import draw_rollout, plot_run, write_figures
-from frictionzoo.show.terminal import summarise
-from frictionzoo.show.with_matplotlib import draw
-from frictionzoo.simulate.proof import Proof
+from frictionzoo.simulation.proof import Proof
 
 TIMESTEP = 0.001
 FIT = {

@@ -27,7 +27,7 @@ from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Problem, kept
-from frictionzoo.show import run_plots
+from frictionzoo.report import run_plots
 
 ITERATIONS = 40
 PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure

@@ -32,11 +32,11 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import Engine, Values, proof
-from frictionzoo.simulate.choose import naming_what_mjx_lacks
-from frictionzoo.simulate.drive import Drive
-from frictionzoo.simulate.proof import TOLERANCE, Cases, Recorded, initial_values, prove
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulation import Engine, Values, proof
+from frictionzoo.simulation.choose import naming_what_mjx_lacks
+from frictionzoo.simulation.drive import Drive
+from frictionzoo.simulation.proof import TOLERANCE, Cases, Recorded, initial_values, prove
+from frictionzoo.simulation.rollout import make_rollout
 
 ENGINES = ("specialised", "mjx")
 LAWS = {  # of each kind: none, a constraint, an explicit torque, a memory, a network

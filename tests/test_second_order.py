@@ -19,9 +19,9 @@ from frictionzoo.core.described import describe, remake
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
-from frictionzoo.result.simulator import build_simulated, compensate, find_residual
-from frictionzoo.simulate.drive import Drive
-from frictionzoo.simulate.dry_friction import rigid_step
+from frictionzoo.result.simulator import build_simulated, compensate
+from frictionzoo.simulation.drive import Drive
+from frictionzoo.simulation.dry_friction import rigid_step
 
 KP, KD, OWN, ARMATURE = 40.0, 1.5, 0.05, 0.02
 STATIC, KINETIC, STRIBECK, SMOOTHING, VISCOUS = 0.4, 0.3, 0.8, 0.5, 0.2  # smooth, so that the order shows
@@ -301,7 +301,7 @@ def test_exact_coulomb_friction_is_found(tmp_path: Path, exact: Any) -> None:
     assert values["friction.damping"] == pytest.approx(0.2, rel=1e-2)
     chosen = {row["option"]: row["value"] for row in found.result["recipe"]}
     assert chosen["bench.second_order"] is True and chosen["bench.solreffriction"] == [2e-3, 1.0]
-    own = np.abs(find_residual(found)).mean()
+    own = np.abs(found.find_residual()).mean()
     for integrator in ("Euler", "implicitfast", "RK4"):
         for timestep in (2e-3, 5e-3):
             folder = tmp_path / f"{integrator}{1e3 * timestep:g}"

@@ -3,8 +3,8 @@
 import pytest
 
 import frictionzoo as fz
+from frictionzoo.api.library import law
 from frictionzoo.core.errors import ModelError
-from frictionzoo.library import law
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.models.sees import simpler_law, suggest_law

@@ -18,8 +18,8 @@ from frictionzoo.core.segments import Sampling, cut_segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.result.evaluate import predict
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.rollout import applied, make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.rollout import applied, make_rollout
 
 INTERVAL = 0.01
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-3, 1e-3, 1e-3))

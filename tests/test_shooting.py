@@ -23,7 +23,7 @@ from frictionzoo.fit.loss import Loss
 from frictionzoo.fit.normal_equations import NormalEquations, compress
 from frictionzoo.fit.shooting import Mixed, solve_chain
 from frictionzoo.models.registry import get_model
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 SECTION = {"init": 0.5, "low": 1e-2, "high": 10.0, "scale": "log", "identify": True}
 WEIGHTS = {"position": 1e4, "velocity": 10.0, "refine": True}

@@ -16,10 +16,10 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import can_collide, rigid_inertia
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.state import FrictionTerms, Signals
-from frictionzoo.simulate import MjxEngine, SpecialisedEngine, make_engine, without_memory
-from frictionzoo.simulate.dry_friction import dry_friction
-from frictionzoo.simulate.fold import CannotSpecialiseError, specialise
-from frictionzoo.simulate.linear import rows_of
+from frictionzoo.simulation import MjxEngine, SpecialisedEngine, make_engine, without_memory
+from frictionzoo.simulation.dry_friction import dry_friction
+from frictionzoo.simulation.fold import CannotSpecialiseError, specialise
+from frictionzoo.simulation.linear import rows_of
 
 KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
 BODIES = {

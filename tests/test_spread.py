@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import frictionzoo as fz
-from frictionzoo.comparison.spread import separate
 from frictionzoo.core.errors import RunError
+from frictionzoo.result.comparison.spread import separate
 
 
 def test_both_spreads_are_found_again() -> None:

@@ -18,7 +18,7 @@ from frictionzoo.fit import Adam, Auto, Fit, InverseDynamics, LevenbergMarquardt
 from frictionzoo.fit.base import as_start
 from frictionzoo.fit.start import begin_where
 from frictionzoo.identification import Parts, Problem
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulation.context import computing
 
 STEP = 0.002  # s
 TRUTH = {"armature": [0.3, 0.1], "frictionloss": [1.5, 0.6], "damping": [0.8, 0.3]}

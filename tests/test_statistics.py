@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from frictionzoo.comparison.statistics import (
+from frictionzoo.result.comparison.statistics import (
     BINS,
     Difference,
     autocorrelation,

@@ -118,8 +118,8 @@ def test_a_foreign_run_that_is_resumed_is_one_line(call: Callable, foreign: Path
 
 
 STRANGERS = (
-    *("frictionzoo.excite.__main__.X", "frictionzoo.cli.commands.main", "stranger.Law", "foreign.evil", "os.system"),
-    *("frictionzoo.logs.files.Files", "frictionzoo.fit.Adam", "frictionzoo.core.build.build", "", None, 3, ["a"]),
+    *("frictionzoo.design.__main__.X", "frictionzoo.cli.commands.main", "stranger.Law", "foreign.evil", "os.system"),
+    *("frictionzoo.data.files.Files", "frictionzoo.fit.Adam", "frictionzoo.core.build.build", "", None, 3, ["a"]),
 )
 
 
@@ -131,7 +131,7 @@ def test_a_run_names_registered_plug_ins_only(foreign: Path, place: tuple[str, .
     with pytest.raises(FrictionzooError) as refused:
         fz.load(foreign)
     assert str(refused.value).startswith("foreign: ") and "\n" not in str(refused.value)
-    assert not {"stranger", "frictionzoo.excite.__main__"} & ({*sys.modules} - before)
+    assert not {"stranger", "frictionzoo.design.__main__"} & ({*sys.modules} - before)
     assert not Path("executed").exists()
 
 

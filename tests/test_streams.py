@@ -82,7 +82,7 @@ fz.rollout(bench, law, state, state, ctrl)
 print(in_a_fork(lambda: fz.rollout(bench, law, state, state, ctrl)))
 print(in_a_fork(lambda: fz.identify(bench, law, [])))
 print(in_a_fork(lambda: fz.read({name: torch.arange(200).numpy() / 100 for name in ("time", "qpos", "ctrl")})))
-started = "import frictionzoo.simulate.context as context; context.refuse_late_fork(); print('started')"
+started = "import frictionzoo.simulation.context as context; context.refuse_late_fork(); print('started')"
 print(subprocess.run([sys.executable, "-c", started], preexec_fn=lambda: None, text=True, capture_output=True).stdout)
 """
 

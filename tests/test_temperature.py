@@ -14,9 +14,9 @@ import pytest
 import torch
 from conftest import Finished, slow_but
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench
 from frictionzoo.cli.distill import main as distill
-from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import cut_segments
@@ -27,9 +27,9 @@ from frictionzoo.fit import LevenbergMarquardt, Objective, Space, estimate_uncer
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.temperature import ABSOLUTE_ZERO
-from frictionzoo.result.identified import Identified
-from frictionzoo.simulate import Values, friction_of, make_engine
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.result.comparison.runs import read_runs
+from frictionzoo.simulation import Values, friction_of, make_engine
+from frictionzoo.simulation.rollout import make_rollout
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

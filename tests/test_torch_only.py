@@ -13,6 +13,7 @@ import pytest
 import torch
 from conftest import Finished
 
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError, ExportError, ModelError
@@ -27,8 +28,7 @@ from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, re
 from frictionzoo.models.contract import check_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.result.curves import read_curves
-from frictionzoo.result.identified import Identified
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
 DRY = {"dry": {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}}

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from frictionzoo.simulate import tree
-from frictionzoo.simulate.fold import CannotSpecialiseError, specialise
+from frictionzoo.simulation import tree
+from frictionzoo.simulation.fold import CannotSpecialiseError, specialise
 
 INERTIAL = '<inertial pos="0.01 -0.02 -0.1" quat="1 0.2 -0.1 0.3" mass="0.4" diaginertia="0.002 0.003 0.004"/>'
 TREES = {

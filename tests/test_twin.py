@@ -13,8 +13,8 @@ from omegaconf import OmegaConf
 
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.segments import cut_segments
-from frictionzoo.logs import cache
-from frictionzoo.logs.twin import HiddenDrive, Twin
+from frictionzoo.data import cache
+from frictionzoo.data.twin import HiddenDrive, Twin
 
 CONF = Path(__file__).parent.parent / "conf" / "data"
 SIGNALS = ("time", "qpos", "qvel", "ctrl")

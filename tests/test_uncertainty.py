@@ -25,8 +25,8 @@ from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit.blocks import divide
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.uncertainty import Uncertainty, assess
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.rollout import Rollout, make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.rollout import Rollout, make_rollout
 
 START = np.log([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]])
 FRICTION = ("static_torque", "kinetic_torque", "stribeck_velocity", "viscous_coefficient")

@@ -13,17 +13,17 @@ import pytest
 from conftest import Finished
 
 import frictionzoo as fz
-from frictionzoo.cli.excite import _parse as parse_excite
+from frictionzoo.api.identified import Identified
+from frictionzoo.bench.limits import Limits
+from frictionzoo.cli.design import _parse as parse_excite
 from frictionzoo.cli.export import _parse as parse_export
 from frictionzoo.core.config import check_overrides, compose_config
 from frictionzoo.core.options import read_options
-from frictionzoo.excite.limits import Limits
-from frictionzoo.excite.plan import Request
+from frictionzoo.design.plan import Request
 from frictionzoo.export.base import REGISTRY as TARGETS
 from frictionzoo.identification.commands import Origin
-from frictionzoo.result.identified import Identified
+from frictionzoo.report.terminal import summarise
 from frictionzoo.result.verdict import judge, say_finding
-from frictionzoo.show.terminal import summarise
 
 Run = Callable[[str], tuple[Path, Finished]]
 LOST = {"position_mae": None, "position_mae_std": None, "position_rmse": None, "velocity_rmse": None}
@@ -205,7 +205,7 @@ def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) 
     chosen = [each for each in run[3:] if each.partition("=")[0] in ("model", "data", "fit")]
     check_overrides(config, compose_config(*chosen))
 
-    assert excite[:3] == ["python", "-m", "frictionzoo.excite"]
+    assert excite[:3] == ["python", "-m", "frictionzoo.design"]
     parsed = parse_excite(excite[3:])
     (place,) = parsed.folders
     request = Request.read(read_options(parsed.options, ""), Identified.load(Path(folder.parent, place)))

@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from jaxtyping import Float
 
 import frictionzoo as fz
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, JointPD, PositionPD
 from frictionzoo.bench.delay import is_filtered, read_filter, write_delay
 from frictionzoo.core.log import Payload
 from frictionzoo.export.bench import write_identified
 from frictionzoo.models import MujocoDefault
-from frictionzoo.result.identified import Identified
-from frictionzoo.show.terminal import summarise
+from frictionzoo.report.terminal import summarise
 
 EXACT = 1e-9  # rad; rounding of some hundred steps stays far below
 STEP, SUBSTEPS = 0.004, 2  # of the robots' files [s], and in a sample

@@ -15,7 +15,7 @@ def write_delay(delay: float, timestep: float) -> dict[str, str]:
     """Return the attributes of an actuator with a delay [s] in simulation steps of length `timestep` [s].
 
     MuJoCo interpolates linearly between steps: a held command acts with its mean over the step, as in
-    `frictionzoo.simulate.rollout.applied`. MuJoCo stores a command at the end of its step; its shortest delay is one
+    `frictionzoo.simulation.rollout.applied`. MuJoCo stores a command at the end of its step; its shortest delay is one
     step. A shorter delay becomes a first-order filter with the same lag for a ramp: in each step its activation covers
     1 / (1 + delay / timestep) of the distance to the command.
 

@@ -11,7 +11,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.errors import MissingValueError
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import Param
-from frictionzoo.logs.source import Source
+from frictionzoo.data.source import Source
 
 
 class Given(NamedTuple):

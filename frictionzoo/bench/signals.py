@@ -10,8 +10,8 @@ from jaxtyping import Float
 from frictionzoo.bench.actuators import Actuator
 from frictionzoo.core.errors import BenchError
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.logs.clean import EXTRAS
-from frictionzoo.logs.pairing import Pairing, arrange, reorder, say_order
+from frictionzoo.data.clean import EXTRAS
+from frictionzoo.data.pairing import Pairing, arrange, reorder, say_order
 
 _log = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         refuse_unfinished(parsed.folder)
         tell("loading torch and JAX")
-        from frictionzoo.card.write import write_card
+        from frictionzoo.report.card.write import write_card
 
         place, left = write_card(parsed.folder, options)
         say("\n".join([*(f"warning: {line}" for line in left), f"files: {place}"]))

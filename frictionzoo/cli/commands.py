@@ -20,7 +20,7 @@ COMMANDS = {
     "export": "export an identified drive to another program",
     "card": "publish an identified drive without its run",
     "distill": "fit a simpler model to an identified drive",
-    "excite": "design the command to record next, within limits",
+    "design": "design the command to record next, within limits",
     "list": "list models, methods, formats and other choices",
 }
 """Summary of each command; its module in this package has the same name and a `main` that takes its arguments."""
@@ -64,7 +64,7 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo card RUN licence=cc-by-4.0
     frictionzoo distill RUN model=stribeck
   Design the next recording of an identified drive
-    frictionzoo excite RUN position=1.5 velocity=4 torque=2
+    frictionzoo design RUN position=1.5 velocity=4 torque=2
 
 options of a run:
   GROUP=FILE    a file of conf/: of bench, data, experiment, fit, logger, model

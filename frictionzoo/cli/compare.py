@@ -19,8 +19,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for folder in options.folders:
             find_runs(folder)
         tell("loading torch and JAX")
-        from frictionzoo.comparison.files import write_comparison
-        from frictionzoo.show.terminal import summarise_comparison
+        from frictionzoo.api.comparison_files import write_comparison
+        from frictionzoo.report.terminal import summarise_comparison
 
         say(summarise_comparison(write_comparison(options.folders, output), output))
 

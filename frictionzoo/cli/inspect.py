@@ -19,7 +19,7 @@ from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, f
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.output import claim, write_atomically
 from frictionzoo.core.telling import say
-from frictionzoo.logs.source import Source
+from frictionzoo.data.source import Source
 
 FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
 
@@ -50,9 +50,9 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
         FrictionzooError: The input is at fault, or a file cannot be written.
     """
     # Imported here, so that neither --help nor a mistake waits for it.
-    from frictionzoo.inspect.page import write_page
-    from frictionzoo.inspect.survey import list_recordings, put_in_order, survey_recordings
-    from frictionzoo.inspect.terminal import summarise
+    from frictionzoo.diagnostics.survey import list_recordings, put_in_order, survey_recordings
+    from frictionzoo.report.inspection_page import write_page
+    from frictionzoo.report.inspection_terminal import summarise
 
     data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
     source, joints, joint_type = build(data, Source), (), None

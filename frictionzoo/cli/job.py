@@ -8,21 +8,21 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
+from frictionzoo.api.identified import Identified
 from frictionzoo.bench.given import Given
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
 from frictionzoo.core.output import RUN_FILES
 from frictionzoo.core.telling import tell, telling_again
+from frictionzoo.data.cache import digest
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
 from frictionzoo.identification.kept import Kept
-from frictionzoo.logs.cache import digest
-from frictionzoo.result.identified import Identified
+from frictionzoo.report.terminal import summarise_in_markdown
 from frictionzoo.result.record import describe_data, pick_metrics
 from frictionzoo.result.types import Result
-from frictionzoo.show.terminal import summarise_in_markdown
 
 
 @telling_again()
@@ -59,7 +59,7 @@ def run_job(
         problem = measured if teacher is None else measured.following(teacher)
         record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
         origin = Origin.of_run(options, folder, None if teacher is None else teacher.place)
-        found = solve(problem, name, device, record=record, measured=measured, origin=origin)
+        found = Identified.of(solve(problem, name, device, record=record, measured=measured, origin=origin))
     tell(f"writing {folder}")
     result = found.save(folder)
     figures = [folder / name for name in RUN_FILES if name.startswith("figures/") and (folder / name).exists()]

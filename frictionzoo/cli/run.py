@@ -34,7 +34,7 @@ from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, f
 from frictionzoo.core.output import LOGGERS, RUN_FILES, occupy
 from frictionzoo.core.telling import say, tell
 from frictionzoo.core.threads import limit_threads, threads_each
-from frictionzoo.logs.source import Source
+from frictionzoo.data.source import Source
 from frictionzoo.result.types import Result
 
 
@@ -96,7 +96,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
     given = Given.read(settings)
     tell("loading torch and JAX")
     from frictionzoo.cli.job import run_job
-    from frictionzoo.show.terminal import summarise
+    from frictionzoo.report.terminal import summarise
 
     with _quiet_writers():
         result, complaint = run_job(config, model, folder, options=options, given=given)

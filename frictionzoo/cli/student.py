@@ -7,10 +7,11 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo.api.comparison_files import write_comparison
+from frictionzoo.api.identified import Identified
 from frictionzoo.cli.job import run_job
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED
 from frictionzoo.cli.overrides import refuse_no_choice
-from frictionzoo.comparison.files import write_comparison
 from frictionzoo.core.config import (
     check_overrides,
     compose_config,
@@ -22,8 +23,7 @@ from frictionzoo.core.config import (
 from frictionzoo.core.errors import ConfigError, FitError, OutputError, closest
 from frictionzoo.core.output import RUN_FILES, claim
 from frictionzoo.core.telling import say
-from frictionzoo.result.identified import Identified
-from frictionzoo.show.terminal import summarise, summarise_comparison
+from frictionzoo.report.terminal import summarise, summarise_comparison
 
 _GROUPS = ("model", "fit", "logger")  # configuration files that a student may choose
 _SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment")  # always the teacher's

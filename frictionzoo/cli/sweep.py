@@ -161,8 +161,8 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
         with FileLock(path):
             pass
     # Imported here, so that neither --help nor a mistake waits for it.
-    from frictionzoo.comparison.files import write_comparison
-    from frictionzoo.show.terminal import summarise_comparison
+    from frictionzoo.api.comparison_files import write_comparison
+    from frictionzoo.report.terminal import summarise_comparison
 
     complaints: list[str] = []
     try:

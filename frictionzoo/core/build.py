@@ -11,8 +11,8 @@ _PARTS = (
     "frictionzoo.bench.Bench",
     "frictionzoo.bench.Robot",
     *(f"frictionzoo.fit.loggers.{name}" for name in ("Csv", "Mlflow", "TensorBoard", "Wandb")),
-    "frictionzoo.logs.clean.Cleaning",
-    "frictionzoo.logs.logs.InMemory",
+    "frictionzoo.data.clean.Cleaning",
+    "frictionzoo.data.logs.InMemory",
 )
 
 

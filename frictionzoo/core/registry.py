@@ -111,8 +111,8 @@ KINDS = {
             *("actuators", "actuator law", "frictionzoo.bench.actuators", "register_actuator"),
             *("bench.actuator._target_={target}", True),
         ),
-        Kind("sources", "data source", "frictionzoo.logs", "register_source", "data={name}"),
-        Kind("formats", "log format", "frictionzoo.logs.formats", "register_format", "data.format={name}"),
+        Kind("sources", "data source", "frictionzoo.data", "register_source", "data={name}"),
+        Kind("formats", "log format", "frictionzoo.data.formats", "register_format", "data.format={name}"),
         Kind("methods", "fit method", "frictionzoo.fit", "register_method", "fit={name}", offered=True),
         Kind("targets", "export target", "frictionzoo.export", "register_target", "target={name}"),
     )

@@ -13,17 +13,17 @@ import numpy as np
 from scipy.optimize import nnls
 
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
+from frictionzoo.bench.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.graph import compare
 from frictionzoo.export.nearest import evaluate_law
-from frictionzoo.export.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.export.simulate import Step, simulate, step_with_control
 from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import sliding_torque
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 _LONGEST = 200  # characters of a file name
 _AT_ONCE = 1e3  # faster than any command [rad/s]: otherwise BAM's STS3215 follows commands at its default speed
@@ -44,7 +44,7 @@ class Bam(Target):
     options: ClassVar[Mapping[str, str]] = {"servo": f"its name in BAM: {', '.join(DUTY)}"}
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         if not isinstance(fitted.bench.actuator, VoltageServo):
             came = f"the bench's actuator is a {type(fitted.bench.actuator).__name__}"
@@ -89,7 +89,7 @@ def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> Frictio
     return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), has["friction_viscous"]))
 
 
-def _to_bam(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
+def _to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str]]:
     """Return BAM's friction parameters for each joint, and remarks on the loss of accuracy."""
     joints = range(fitted.bench.nv)
     laws = [_rename(fitted, joint) for joint in joints]
@@ -102,7 +102,7 @@ def _to_bam(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
     return [law for law in laws if law], remarks
 
 
-def _rename(fitted: Identified, joint: int) -> dict[str, Any] | None:
+def _rename(fitted: FittedDrive, joint: int) -> dict[str, Any] | None:
     """Return BAM's parameters of a joint's friction model; None if BAM has no such model."""
     law, place, prefix = fitted.model.of_joint(joint)
     values = {name: float(fitted.values["friction"][prefix + name][place]) for name in law.params}
@@ -120,7 +120,7 @@ def _rename(fitted: Identified, joint: int) -> dict[str, Any] | None:
     return None
 
 
-def _nearest(fitted: Identified, joints: Sequence[int]) -> tuple[dict[int, dict[str, Any]], list[str]]:
+def _nearest(fitted: FittedDrive, joints: Sequence[int]) -> tuple[dict[int, dict[str, Any]], list[str]]:
     """Fit m3 to the friction torque of these joints at the recorded states, by least squares with all terms >= 0."""
     samples = fitted.samples
     torque = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
@@ -141,7 +141,7 @@ def _nearest(fitted: Identified, joints: Sequence[int]) -> tuple[dict[int, dict[
     ]
 
 
-def _motor(fitted: Identified, joint: int, actuator: str) -> dict[str, float]:
+def _motor(fitted: FittedDrive, joint: int, actuator: str) -> dict[str, float]:
     """Return BAM's parameters of a joint's motor and bench."""
     bench = {name: float(value[joint]) for name, value in fitted.values["bench"].items()}
     torque_constant = bench["kt2_over_r"] / bench["kt_over_r"]
@@ -157,7 +157,7 @@ def _motor(fitted: Identified, joint: int, actuator: str) -> dict[str, float]:
     return motor
 
 
-def _choose_actuator(fitted: Identified, options: Mapping[str, str]) -> tuple[str, list[str]]:
+def _choose_actuator(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[str, list[str]]:
     """Choose BAM's name of the servo, and list remarks on it."""
     gain = float(fitted.values["bench"]["duty_gain"][0])
     given = options.get("servo")
@@ -173,7 +173,7 @@ def _choose_actuator(fitted: Identified, options: Mapping[str, str]) -> tuple[st
     return chosen, said
 
 
-def _lack(fitted: Identified, actuator: str) -> str:
+def _lack(fitted: FittedDrive, actuator: str) -> str:
     """Describe in a few words why BAM moves differently than the drive."""
     own = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
     other = dict.fromkeys(fitted.model.of_joint(j)[0].name for j, law in enumerate(own) if law is None)
@@ -186,7 +186,7 @@ def _lack(fitted: Identified, actuator: str) -> str:
     )
 
 
-def _compare(fitted: Identified, paths: list[Path], reason: str) -> tuple[Difference, ...]:
+def _compare(fitted: FittedDrive, paths: list[Path], reason: str) -> tuple[Difference, ...]:
     """Compare the files with the drive: friction at the recorded states, and rollouts in MuJoCo C.
 
     `reason` names what BAM lacks of the drive.
@@ -213,7 +213,7 @@ def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
     return FrictionTerms(frictionloss=loss, damping=damping)
 
 
-def _step(written: Identified, files: list[dict[str, Any]]) -> Step:
+def _step(written: FittedDrive, files: list[dict[str, Any]]) -> Step:
     """Return a step of BAM's MuJoCo controller: MuJoCo's friction constraint, set from the state before the step."""
     advance = step_with_control(written)
 

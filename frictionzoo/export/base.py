@@ -14,8 +14,7 @@ from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.export.written import Difference, Export
-from frictionzoo.result.identified import Identified
-from frictionzoo.result.simulator import find_errors
+from frictionzoo.result.fitted_drive import FittedDrive
 
 
 class Target(ABC):
@@ -37,7 +36,7 @@ class Target(ABC):
     instant: ClassVar[bool] = False
 
     @abstractmethod
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """Write the drive, and run the written files.
 
         Args:
@@ -64,7 +63,7 @@ target_names: Callable[[], list[str]] = REGISTRY.names
 
 def measure(
     quantity: str,
-    fitted: Identified,
+    fitted: FittedDrive,
     came: Float[np.ndarray, "*shape"],
     expected: Float[np.ndarray, "*shape"],
     over: str | None = None,
@@ -82,7 +81,7 @@ def measure(
     """
     distance, positions = np.abs(came - expected), quantity == "qpos"
     whole = positions and over is None
-    error = float(np.abs(find_errors(fitted, came)).mean()) if whole else None
+    error = float(np.abs(fitted.find_errors(came)).mean()) if whole else None
     unit = UNITS[fitted.bench.joint_type]["position" if positions else quantity]
     return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason, error)
 

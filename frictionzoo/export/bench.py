@@ -21,9 +21,9 @@ from frictionzoo.export.simulate import PAYLOADS
 from frictionzoo.export.stand import list_coupled, mount
 from frictionzoo.export.written import Difference, Export
 from frictionzoo.result.evaluate import Prediction
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
-from frictionzoo.result.simulator import RK4, predict_origin, read_integrator, stands_in
+from frictionzoo.result.simulator import RK4
 
 _log = logging.getLogger(__name__)
 FILE = "bench.xml"
@@ -42,7 +42,7 @@ class Mjcf(Target):
     integrators: ClassVar[Sequence[str]] = (*Target.integrators, RK4)
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         own = isinstance(fitted.bench, Robot)
         for name in ("joint", "actuator"):
@@ -70,7 +70,7 @@ class _Robot(NamedTuple):
     actuators: str = ACTUATORS[0]
 
 
-def write_identified(fitted: Identified) -> list[ModelFile]:
+def write_identified(fitted: FittedDrive) -> list[ModelFile]:
     """Write a run's model files for MuJoCo.
 
     These are the bench and, for a robot, the robot's file with the drive. If that file cannot hold the drive, a warning
@@ -86,14 +86,14 @@ def write_identified(fitted: Identified) -> list[ModelFile]:
 
 
 def _write_models(
-    fitted: Identified, robot: _Robot | None, asked: bool
+    fitted: FittedDrive, robot: _Robot | None, asked: bool
 ) -> tuple[list[ModelFile], tuple[Difference, ...]]:
     """Write the bench and the robot's file, if any, with the drive; also return the torque difference of that file.
 
     If the robot's file cannot hold the drive, raise if `asked`, else give the reason as the last limit of the bench.
     """
     nearest = find_nearest(fitted)
-    expected = predict_origin(fitted) if stands_in(fitted) else Prediction(*fitted.rollout())
+    expected = fitted.predict_origin() if fitted.is_simulated else Prediction(*fitted.rollout())
     bench = _write_bench_file(fitted, nearest, expected)
     if robot is None:
         return [bench], ()
@@ -106,7 +106,7 @@ def _write_models(
     return [bench, file], (torque,)
 
 
-def _write_bench_file(fitted: Identified, nearest: Nearest, expected: Prediction) -> ModelFile:
+def _write_bench_file(fitted: FittedDrive, nearest: Nearest, expected: Prediction) -> ModelFile:
     """Write the bench, and run it as loaded; its comment states the difference."""
     model = mujoco.MjModel.from_xml_string(write_bench(fitted, nearest))
     difference, more = play(model, fitted, expected, list_lacks(fitted, nearest, fitted.timestep))
@@ -116,7 +116,7 @@ def _write_bench_file(fitted: Identified, nearest: Nearest, expected: Prediction
 
 
 def _write_robot_file(
-    fitted: Identified, nearest: Nearest, expected: Prediction, asked: _Robot
+    fitted: FittedDrive, nearest: Nearest, expected: Prediction, asked: _Robot
 ) -> tuple[ModelFile, Difference]:
     """Write a robot's file with the drive, and run it as loaded if it is the file of the recorded robot.
 
@@ -138,7 +138,7 @@ def _write_robot_file(
 
 
 def _play_robot(
-    robot: Equipped, fitted: Identified, nearest: Nearest, expected: Prediction, path: Path, bench: str, why: list[str]
+    robot: Equipped, fitted: FittedDrive, nearest: Nearest, expected: Prediction, path: Path, bench: str, why: list[str]
 ) -> tuple[Difference | None, tuple[str, ...]]:
     """Run a robot's file on the test stand; see `play`."""
     if robot.unknown:
@@ -155,17 +155,17 @@ def _play_robot(
 
 
 def _list_remarks(
-    fitted: Identified, nearest: Nearest, difference: Difference | None, limits: tuple[str, ...]
+    fitted: FittedDrive, nearest: Nearest, difference: Difference | None, limits: tuple[str, ...]
 ) -> list[str]:
     """List the sentences of a file's comment, except the one on the friction model."""
     return [
-        f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {read_integrator(fitted)}.",
+        f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {fitted.integrator}.",
         *([say_difference(fitted, difference)] if difference else []),
         *(limit for limit in limits if limit != nearest.remark),
     ]
 
 
-def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators: str) -> list[str]:
+def _say_robot(robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators: str) -> list[str]:
     """List the limits of the robot's file, a sentence each."""
     units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
     limits, timestep = [], robot.model.opt.timestep
@@ -189,19 +189,19 @@ def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators:
     return limits
 
 
-def write_bench(fitted: Identified, nearest: Nearest, remarks: Sequence[str] = ()) -> str:
+def write_bench(fitted: FittedDrive, nearest: Nearest, remarks: Sequence[str] = ()) -> str:
     """Return the bench's MJCF with these values and the drive's time step, with remarks as comments."""
     loss = nearest.frictionloss if nearest.frictionloss.any() else None  # a constraint of 0 has no effect
     comments, late = (nearest.remark or say_law(fitted.model), *remarks), write_late(fitted, nearest, fitted.timestep)
     text = fitted.bench.mjcf({**nearest.bench, **late}, loss, nearest.damping, comments, limited=True)
-    if read_integrator(fitted) == fitted.bench.integrator:
+    if fitted.integrator == fitted.bench.integrator:
         return text
     file = InPlace.read(text.encode())
     set_option(file, fitted)
     return file.write().decode()
 
 
-def say_limits(fitted: Identified, nearest: Nearest, timestep: float | None = None) -> tuple[str, ...]:
+def say_limits(fitted: FittedDrive, nearest: Nearest, timestep: float | None = None) -> tuple[str, ...]:
     """List the limits of an MJCF with the drive, for this time step [s] or the drive's."""
     law, limits = fitted.bench.actuator, [nearest.remark] if nearest.remark else []
     limits += say_delay(fitted, fitted.timestep if timestep is None else timestep)

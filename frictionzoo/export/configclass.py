@@ -15,7 +15,7 @@ from frictionzoo.export.base import Target, measure
 from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, list_lacks, motors, read_inputs, run_joints, say_common
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.export.written import Export
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 _LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
 
@@ -50,14 +50,14 @@ class ConfigFile(Target):
     keywords: ClassVar[tuple[str, str, str, str]]
 
     @abstractmethod
-    def configure(self, fitted: Identified, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
+    def configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
         """Return class and keywords of a joint's actuator."""
 
     @abstractmethod
-    def say_more(self, fitted: Identified, drives: list[Motor]) -> tuple[str, ...]:
+    def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
         """List the further limits of this program."""
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         inputs = read_inputs(fitted, options)
         drives, nearest = motors(fitted, inputs), find_nearest(fitted)
@@ -91,7 +91,7 @@ class ConfigFile(Target):
         return Joint(motor, armature, loss, damping, fields.get(delay, 0))
 
 
-def list_motor(fitted: Identified, motor: Motor) -> list[Field]:
+def list_motor(fitted: FittedDrive, motor: Motor) -> list[Field]:
     """List the keywords of gains and torque limits, which have the same names in all programs."""
     units = UNITS[fitted.bench.joint_type]
     gains = [
@@ -105,7 +105,7 @@ def list_motor(fitted: Identified, motor: Motor) -> list[Field]:
     return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(_LIMITS, said, strict=True)]
 
 
-def list_delay(fitted: Identified, joint: int, *names: str) -> list[Field]:
+def list_delay(fitted: FittedDrive, joint: int, *names: str) -> list[Field]:
     """List the keywords of smallest and largest delay [steps]; none without a delay."""
     steps = lag(fitted, joint)
     return [Field(name, steps, "steps") for name in names] if steps else []

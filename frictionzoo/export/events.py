@@ -10,7 +10,7 @@ from frictionzoo.core.templates import Code
 from frictionzoo.export.base import match_joint
 from frictionzoo.export.module import render
 from frictionzoo.export.variants import Quantity
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 OPERATIONS = ("abs", "scale")
 GAINS = ("actuator.stiffness", "actuator.damping")
@@ -82,7 +82,7 @@ class Cell(NamedTuple):
 
 def write_events(
     program: Program,
-    fitted: Identified,
+    fitted: FittedDrive,
     quantities: Sequence[Quantity],
     delays: Mapping[str, tuple[int, int]],
     operation: str,
@@ -120,7 +120,7 @@ def write_events(
     )
 
 
-def _list_changes(field: str, quantity: Quantity, fitted: Identified) -> Iterator[str]:
+def _list_changes(field: str, quantity: Quantity, fitted: FittedDrive) -> Iterator[str]:
     """Yield a line for each joint in which the quantity varies."""
     for joint, name in enumerate(fitted.bench.joints):
         if why := quantity.why[joint]:

@@ -19,7 +19,7 @@ from frictionzoo.export.base import Target, measure
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import FrictionModel, sliding_torque
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 LIMITS = (
@@ -62,7 +62,7 @@ def signals(model: FrictionModel) -> tuple[str, ...]:
     return tuple(name for name in DriveState._fields if name in model.inputs or name not in DriveState._field_defaults)
 
 
-def list_units(fitted: Identified) -> dict[str, str]:
+def list_units(fitted: FittedDrive) -> dict[str, str]:
     """Return the unit of each input and output of a model's file, by name."""
     units = UNITS[fitted.bench.joint_type]
     outputs = {"torque": units["torque"], "frictionloss": units["torque"], "damping": units["damping"]}
@@ -71,7 +71,7 @@ def list_units(fitted: Identified) -> dict[str, str]:
     return {**{name: states.get(name, "degC") for name in signals(fitted.model)}, **outputs}
 
 
-def list_facts(fitted: Identified) -> dict[str, str]:
+def list_facts(fitted: FittedDrive) -> dict[str, str]:
     """Return the metadata of a model's file as text: model, joints, units and usage."""
     inputs, units = signals(fitted.model), list_units(fitted)
     return {
@@ -86,7 +86,7 @@ def list_facts(fitted: Identified) -> dict[str, str]:
     }
 
 
-def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
+def compare(fitted: FittedDrive, came: FrictionTerms, how: str) -> Difference:
     """Compare the friction torque of terms of shape (samples, nv), computed by `how`, with the model in float64."""
     samples = fitted.samples
     expected = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
@@ -110,14 +110,14 @@ class GraphFile(Target):
     remarks: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: Identified) -> bytes:
+    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: FittedDrive) -> bytes:
         """Return the file's content, traced with these inputs by name; its metadata describes the drive."""
 
     @abstractmethod
     def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
         """Evaluate the file on the CPU."""
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         name, model, samples, path = options.get("dtype", "float64"), fitted.model, fitted.samples, folder / self.file
         if name not in DTYPES:

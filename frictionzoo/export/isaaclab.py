@@ -8,7 +8,7 @@ from frictionzoo.export.configclass import ConfigFile, Field, list_delay, list_m
 from frictionzoo.export.motor import Motor, lag
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.variants import at_rest
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 _UNITS = (
     "friction and dynamic_friction are efforts, as of Isaac Sim 5; before, friction was a coefficient without unit, "
@@ -37,7 +37,7 @@ USD has the limits of torque and velocity that are not here.
 """
     keywords = ("armature", "dynamic_friction", "viscous_friction", "min_delay")
 
-    def configure(self, fitted: Identified, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
+    def configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
         """See `ConfigFile.configure`."""
         units, cls, late = UNITS[fitted.bench.joint_type], "DCMotorCfg", []
         if not np.isfinite(motor.saturation_effort):
@@ -56,7 +56,7 @@ USD has the limits of torque and velocity that are not here.
             Field("viscous_friction", nearest.damping[joint] + fitted.bench.own_damping[joint], units["damping"]),
         ]
 
-    def say_more(self, fitted: Identified, drives: list[Motor]) -> tuple[str, ...]:
+    def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
         """See `ConfigFile.say_more`."""
         late = max(lag(fitted, joint) for joint in range(fitted.bench.nv))
         if not late or not np.isfinite(drives[0].saturation_effort):  # DCMotorCfg has no delay

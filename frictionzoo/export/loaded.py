@@ -13,10 +13,10 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import Place, run_loaded
 from frictionzoo.export.written import Difference
 from frictionzoo.result.evaluate import Prediction
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
 from frictionzoo.result.run_types import WrittenRow
-from frictionzoo.result.simulator import RK4, read_integrator, stands_in
+from frictionzoo.result.simulator import RK4
 
 EXACT = 1e-9
 """Largest position difference that counts as rounding [rad or m]."""
@@ -43,7 +43,7 @@ class ModelFile:
     limits: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
-    def describe(self, fitted: Identified) -> WrittenRow:
+    def describe(self, fitted: FittedDrive) -> WrittenRow:
         """Return its entry in `result.json`."""
         difference, error = self.difference, read_error(fitted)
         return {
@@ -61,7 +61,7 @@ class ModelFile:
 
 
 def play(
-    model: mujoco.MjModel, fitted: Identified, expected: Prediction, why: list[str], place: Place | None = None
+    model: mujoco.MjModel, fitted: FittedDrive, expected: Prediction, why: list[str], place: Place | None = None
 ) -> tuple[Difference | None, tuple[str, ...]]:
     """Run a loaded model over the long test rollouts.
 
@@ -86,7 +86,7 @@ def play(
     return measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why)), ()
 
 
-def is_clipped(model: mujoco.MjModel, fitted: Identified, place: Place) -> bool:
+def is_clipped(model: mujoco.MjModel, fitted: FittedDrive, place: Place) -> bool:
     """Return whether the model's actuators clip the recorded commands."""
     law, signals = fitted.bench.actuator, fitted.segments.signals
     if law.needs_state:
@@ -96,12 +96,12 @@ def is_clipped(model: mujoco.MjModel, fitted: Identified, place: Place) -> bool:
     return bool((model.actuator_ctrllimited[place.actuator] & ((command < low) | (command > high))).any())
 
 
-def read_error(fitted: Identified) -> float | None:
+def read_error(fitted: FittedDrive) -> float | None:
     """Return the drive's mean absolute position error in its held-out rollouts; None if there is none."""
     return fitted.result["metrics"]["test"]["position_mae"]
 
 
-def say_difference(fitted: Identified, difference: Difference) -> str:
+def say_difference(fitted: FittedDrive, difference: Difference) -> str:
     """Describe the difference of a file from the drive, for the file's comment."""
     played = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
     if difference.largest <= EXACT:
@@ -115,12 +115,12 @@ def say_difference(fitted: Identified, difference: Difference) -> str:
     )
 
 
-def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[str]:
+def list_lacks(fitted: FittedDrive, nearest: Nearest, timestep: float) -> list[str]:
     """List the differences of a file with this time step [s] from the drive, in a few words each."""
     lacks = [nearest.lacks] if nearest.lacks else []
     if say_delay(fitted, timestep):
         lacks.append("a delay below one step is a filter")
-    continuous = stands_in(fitted)
+    continuous = fitted.is_simulated
     own = fitted.origin.timestep if fitted.origin is not None and not continuous else fitted.timestep
     if not np.isclose(timestep, own, rtol=1e-6):
         lacks.append(f"steps of {timestep:g} s in place of {own:g} s")
@@ -129,12 +129,12 @@ def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[st
     return lacks
 
 
-def say_delay(fitted: Identified, timestep: float) -> list[str]:
+def say_delay(fitted: FittedDrive, timestep: float) -> list[str]:
     """Describe the delays that become filters with this time step [s]; empty if none does."""
     delays = fitted.values["bench"].get("delay", np.empty(0))
     if fitted.bench.actuator.needs_state:  # the caller delays the commands
         return []
-    delays = stretch(delays, timestep) if read_integrator(fitted) == RK4 else delays
+    delays = stretch(delays, timestep) if fitted.integrator == RK4 else delays
     each = zip(fitted.bench.joints, map(float, delays), strict=False)
     filtered = [(joint, delay) for joint, delay in each if is_filtered(delay, timestep)]
     if not filtered:

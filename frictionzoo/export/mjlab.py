@@ -7,7 +7,7 @@ from frictionzoo.export.base import match_joint, register_target
 from frictionzoo.export.configclass import ConfigFile, Field, list_delay, list_motor
 from frictionzoo.export.motor import Motor
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 
 @register_target("mjlab")
@@ -24,7 +24,7 @@ EntityArticulationInfoCfg(actuators=ACTUATORS); set joint names to those of your
 """
     keywords = ("armature", "frictionloss", "viscous_damping", "delay_min_lag")
 
-    def configure(self, fitted: Identified, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
+    def configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
         """See `ConfigFile.configure`."""
         units, limited = UNITS[fitted.bench.joint_type], np.isfinite(motor.saturation_effort)
         return "DcMotorActuatorCfg" if limited else "BuiltinPositionActuatorCfg", [
@@ -36,7 +36,7 @@ EntityArticulationInfoCfg(actuators=ACTUATORS); set joint names to those of your
             *list_delay(fitted, joint, "delay_min_lag", "delay_max_lag"),
         ]
 
-    def say_more(self, fitted: Identified, drives: list[Motor]) -> tuple[str, ...]:
+    def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
         """See `ConfigFile.say_more`."""
         solref = " ".join(f"{number:g}" for number in fitted.bench.compile(constraint=False).dof_solref[0])
         return (f"The friction constraint's solreffriction is the robot's: set {solref} at the joint in its MJCF.",)

@@ -19,7 +19,7 @@ from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
 from frictionzoo.export.simulate import PAYLOADS, commands_before
 from frictionzoo.export.written import Export
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 
 @register_target("mjx")
@@ -28,7 +28,7 @@ class Mjx(Target):
 
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "jax", "numpy")
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         # MJX allocates friction constraints only for joints with frictionloss > 0; each step sets their values.
         loss = np.array(fitted.model.constrained, float) if fitted.model.constraint else None
@@ -44,7 +44,7 @@ class Mjx(Target):
         return Export((*written, BENCH), (difference,), tuple(limits))
 
 
-def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
+def _run(folder: Path, fitted: FittedDrive) -> Float[np.ndarray, "batch time nv"]:
     module: Any = load_module(folder / MODULE)
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
     segments, remembers = fitted.segments, fitted.model.memory > 0
@@ -80,7 +80,7 @@ def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]
     return np.stack(found)[:, substeps - 1 :: substeps]
 
 
-def _signals(fitted: Identified, number: int, kept: int) -> tuple[Signals, Signals]:
+def _signals(fitted: FittedDrive, number: int, kept: int) -> tuple[Signals, Signals]:
     """Return the signals of each step of a rollout, and the commands in the `kept` steps before it."""
     now = fitted.acting(late=False).map(lambda signal: jnp.asarray(signal[number].reshape(-1, fitted.bench.nv)))
     held = commands_before(fitted, number)

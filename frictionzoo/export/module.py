@@ -15,12 +15,12 @@ from frictionzoo.core.templates import Code, open_template
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import merge, read_source, write_values
 from frictionzoo.models import TorchFriction
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 WEIGHTS = "weights.npz"
 
 
-def write_module(fitted: Identified, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
+def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
     """Write a module and, for a network, a file with its weights; return the names of the files.
 
     Args:
@@ -52,7 +52,7 @@ def render(template: str, **context: Any) -> str:
     return open_template(f"export/{template}").render(version=Code(__version__), **context).lstrip()
 
 
-def _describe(fitted: Identified, values: Code, weights: bool) -> Mapping[str, Any]:
+def _describe(fitted: FittedDrive, values: Code, weights: bool) -> Mapping[str, Any]:
     model = fitted.model
     law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
     actuator = read_source(fitted.bench.actuator, "control")
@@ -83,7 +83,7 @@ def _describe(fitted: Identified, values: Code, weights: bool) -> Mapping[str, A
     }
 
 
-def controls(fitted: Identified) -> bool:
+def controls(fitted: FittedDrive) -> bool:
     """Return whether `ctrl` of MuJoCo's actuator differs from the command."""
     return "delay" in fitted.values["bench"] or fitted.bench.actuator.has_controller
 

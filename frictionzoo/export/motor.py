@@ -20,7 +20,7 @@ from frictionzoo.core.state import Signals
 from frictionzoo.export.base import list_values, read_number
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import Step, simulate
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 INPUTS: Mapping[str, str] = {
     "gain": "of a servo's firmware; the recordings' median where it is left out",
@@ -77,7 +77,7 @@ class Joint(NamedTuple):
     lag: int
 
 
-def read_inputs(fitted: Identified, options: Mapping[str, str]) -> dict[str, float]:
+def read_inputs(fitted: FittedDrive, options: Mapping[str, str]) -> dict[str, float]:
     """Return inputs of the actuator model, such as gain and supply: given values, or medians over the test rollouts."""
     names = fitted.bench.actuator.inputs
     medians = {name: float(np.median(signal)) for name, signal in fitted.segments.acting.inputs.items()}
@@ -85,7 +85,7 @@ def read_inputs(fitted: Identified, options: Mapping[str, str]) -> dict[str, flo
     return medians | {name: value for name, value in given.items() if value is not None and name in names}
 
 
-def motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
+def motors(fitted: FittedDrive, inputs: Mapping[str, float]) -> list[Motor]:
     """Return the motor of each joint, with these inputs of a servo.
 
     Raises:
@@ -97,7 +97,7 @@ def motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
     return [_motor(law, {name: float(v[j]) for name, v in values.items()}, inputs) for j in range(fitted.bench.nv)]
 
 
-def _constant_gains(fitted: Identified) -> dict[str, Float[np.ndarray, "nv"]]:
+def _constant_gains(fitted: FittedDrive) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the recorded gains of each joint; raise ExportError if they change, or if kp is not positive."""
     gains = {name: fitted.segments.acting.inputs[name] for name in ("kp", "kd")}
     for name, of in gains.items():
@@ -131,7 +131,7 @@ def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, floa
     raise ExportError(f"the bench's actuator is a {name}, expected a position-controlled one; write target=mjcf")
 
 
-def lag(fitted: Identified, joint: int) -> int:
+def lag(fitted: FittedDrive, joint: int) -> int:
     """Return the command delay in whole simulation steps."""
     if "delay" not in fitted.values["bench"]:
         return 0
@@ -139,7 +139,7 @@ def lag(fitted: Identified, joint: int) -> int:
     return min(round(float(fitted.values["bench"]["delay"][joint]) / fitted.timestep), known)
 
 
-def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
+def run_joints(fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
     """Simulate the long test rollouts in MuJoCo C with a configuration file's joints and `nearest`'s offset."""
     delay = np.array([joint.lag * fitted.timestep for joint in joints])
     late = {"delay": delay} if "delay" in fitted.values["bench"] else {}
@@ -147,7 +147,7 @@ def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) ->
     return simulate(_compile(fitted, nearest, joints), written, _step(fitted, joints))
 
 
-def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
+def _compile(fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
     """Compile the bench with this friction, and with `ctrl` as the torque of the actuators."""
     _, armature, loss, damping, _ = map(np.array, zip(*joints, strict=True))
     bench = {name: value for name, value in nearest.bench.items() if name != "delay"} | {"armature": armature}
@@ -157,7 +157,7 @@ def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> m
     return model
 
 
-def aim(fitted: Identified, drives: Sequence[Motor]) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
+def aim(fitted: FittedDrive, drives: Sequence[Motor]) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
     """Return a function from a drive's signals to desired positions [rad or m] that include all other commands."""
     law = fitted.bench.actuator
     told = isinstance(law, JointPD | RecordedPD)
@@ -167,7 +167,7 @@ def aim(fitted: Identified, drives: Sequence[Motor]) -> Callable[[Signals], Floa
     return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
 
 
-def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
+def _step(fitted: FittedDrive, joints: Sequence[Joint]) -> Step:
     aims_of = aim(fitted, [joint.motor for joint in joints])
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
@@ -180,7 +180,7 @@ def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
     return step
 
 
-def list_lacks(fitted: Identified, nearest: Nearest) -> list[str]:
+def list_lacks(fitted: FittedDrive, nearest: Nearest) -> list[str]:
     """List in a few words each why a configuration moves differently than the drive."""
     acting, values = fitted.segments.acting.inputs, fitted.values["bench"]
     varied = [name for name in INPUTS if name in acting and np.ptp(acting[name]) > 0]
@@ -193,7 +193,7 @@ def list_lacks(fitted: Identified, nearest: Nearest) -> list[str]:
     return said + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
 
 
-def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
+def say_common(fitted: FittedDrive, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
     """List the limits common to the configuration files of all simulators; `program` is the simulator's name."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
     said = [
@@ -227,7 +227,7 @@ def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float]
     return said
 
 
-def _say_commands(fitted: Identified) -> list[str]:
+def _say_commands(fitted: FittedDrive) -> list[str]:
     """List the limits of such configurations for a robot's commands and torque limits."""
     law, values, said = fitted.bench.actuator, fitted.values["bench"], []
     if not isinstance(law, JointPD | RecordedPD):

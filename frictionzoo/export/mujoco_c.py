@@ -17,7 +17,7 @@ from frictionzoo.export.native import REASON, run_native, write_native
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import PAYLOADS, commands_before, simulate
 from frictionzoo.export.written import Export
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 MODULE, BENCH = "drive.py", "bench.xml"
 FORMS = ("module", "native")
@@ -32,7 +32,7 @@ class MujocoC(Target):
     }
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "numpy")
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         law = options.get("law", FORMS[0])
         if law not in FORMS:
@@ -50,7 +50,7 @@ class MujocoC(Target):
         return Export((*written, BENCH), (difference,), tuple(limits))
 
 
-def _write_native(fitted: Identified, folder: Path) -> Export:
+def _write_native(fitted: FittedDrive, folder: Path) -> Export:
     text = write_native(fitted)
     (folder / BENCH).write_text(text)
     difference = measure("qpos", fitted, run_native(text, fitted), fitted.rollout()[0], reason=REASON)
@@ -64,13 +64,13 @@ def _write_native(fitted: Identified, folder: Path) -> Export:
     return Export((BENCH,), (difference,), (*limits, *say_limits(fitted, exact)))
 
 
-def write_bare_bench(fitted: Identified, frictionloss: np.ndarray | None = None) -> str:
+def write_bare_bench(fitted: FittedDrive, frictionloss: np.ndarray | None = None) -> str:
     """Return the bench's MJCF without friction and delay, which the module adds."""
     values = {name: value for name, value in fitted.values["bench"].items() if name != "delay"}
     return fitted.bench.mjcf(values, frictionloss, comments=(f"Friction is in {MODULE} beside this file.",))
 
 
-def _run(folder: Path, fitted: Identified) -> np.ndarray:
+def _run(folder: Path, fitted: FittedDrive) -> np.ndarray:
     module: Any = load_module(folder / MODULE)
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
     drive = module.Drive(model)

@@ -12,14 +12,14 @@ from frictionzoo.core.errors import ExportError
 from frictionzoo.core.xml import write_xml
 from frictionzoo.export.simulate import run_loaded
 from frictionzoo.export.skeleton import find_free_name
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 LAWS = ("lugre", "dahl")
 REASON = "MuJoCo takes the bristles' torque at a step's beginning, the drive at its end"
 _NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, no command
 
 
-def write_native(fitted: Identified) -> str:
+def write_native(fitted: FittedDrive) -> str:
     """Write the bench's MJCF with MuJoCo's damping, and for each joint a `dcmotor` with the friction model as `lugre`.
 
     Source: as of the friction model; MuJoCo documentation, XML reference, `actuator/dcmotor`. The equations are the
@@ -54,7 +54,7 @@ def _lugre(values: Mapping[str, Float[np.ndarray, "nv"]], joint: int) -> list[fl
     return [*map(float, said), float(values["stribeck_velocity"][joint]) if "stribeck_velocity" in values else 1.0]
 
 
-def run_native(text: str, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
+def run_native(text: str, fitted: FittedDrive) -> Float[np.ndarray, "batch time nv"]:
     """Simulate the long test rollouts in MuJoCo C from the friction model's initial deflection; return positions."""
     segments, bench = fitted.segments, fitted.bench
     first = fitted.samples.map(lambda signal: signal.reshape(segments.count, segments.length, bench.nv)[:, 0])

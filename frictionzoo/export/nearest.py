@@ -24,10 +24,10 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.result.evaluate import Values
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
-from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.rollout import Rollout, make_rollout
+from frictionzoo.simulation import friction_of, make_engine
+from frictionzoo.simulation.rollout import Rollout, make_rollout
 
 _ITERATIONS = 50  # usually a dozen suffice
 _CLOSE = 1e-6  # relative tolerance of the refit of a drawn drive, which starts close to its solution
@@ -55,7 +55,7 @@ class Nearest:
     lacks: str = ""
 
 
-def find_nearest(fitted: Identified) -> Nearest:
+def find_nearest(fitted: FittedDrive) -> Nearest:
     """Return the drive with MuJoCo's friction, refitted in joints with another friction model.
 
     The initial values are the least-squares friction over the measured states. From there, armature, frictionloss and
@@ -85,7 +85,7 @@ def find_nearest(fitted: Identified) -> Nearest:
     return _refit(fitted, followed, *start, exact)
 
 
-def find_nearest_each(fitted: Identified, draws: Sequence[Values]) -> list[Nearest]:
+def find_nearest_each(fitted: FittedDrive, draws: Sequence[Values]) -> list[Nearest]:
     """Return drawn drives, which differ from the fitted one only in values, with MuJoCo's friction.
 
     In joints with another friction model, armature, frictionloss and damping are refitted to the rollouts of each drawn
@@ -104,7 +104,7 @@ def find_nearest_each(fitted: Identified, draws: Sequence[Values]) -> list[Neare
     return found if exact.all() else _refit_each(fitted, found, draws, exact)
 
 
-def _forget_inputs(fitted: Identified) -> DriveState:
+def _forget_inputs(fitted: FittedDrive) -> DriveState:
     """Return the measured states with constant further inputs, such as temperature, since MuJoCo has none."""
     samples = fitted.samples
     return samples._replace(**{n: np.full(samples.qvel.shape, value) for n, value in fitted.model.inputs.items()})
@@ -120,7 +120,7 @@ def _find_exact(
 
 
 def _refit_each(
-    fitted: Identified, start: Sequence[Nearest], draws: Sequence[Values], exact: Bool[np.ndarray, "nv"]
+    fitted: FittedDrive, start: Sequence[Nearest], draws: Sequence[Values], exact: Bool[np.ndarray, "nv"]
 ) -> list[Nearest]:
     """Refit armature, frictionloss and damping of each drawn drive in the joints that are not exact."""
     _refuse_long(fitted, len(draws), exact)
@@ -141,7 +141,7 @@ def _refit_each(
     return found
 
 
-def _follow(fitted: Identified, values: Values | None = None) -> Segments:
+def _follow(fitted: FittedDrive, values: Values | None = None) -> Segments:
     try:
         return fitted.follow(fitted.segments, values)
     except RunError as error:
@@ -161,7 +161,7 @@ def _read(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> tup
     )
 
 
-def _refuse_long(fitted: Identified, count: int, exact: Bool[np.ndarray, "nv"]) -> None:
+def _refuse_long(fitted: FittedDrive, count: int, exact: Bool[np.ndarray, "nv"]) -> None:
     """Raise ExportError if the refits take too long."""
     segments, nv = fitted.segments, fitted.bench.nv
     each = segments.count * segments.length * fitted.sampling.substeps * nv * (1 + 3 * int((~exact).sum()))
@@ -175,7 +175,7 @@ def _refuse_long(fitted: Identified, count: int, exact: Bool[np.ndarray, "nv"]) 
         )
 
 
-def _mix(fitted: Identified, values: Values, exact: Bool[np.ndarray, "nv"]) -> Values:
+def _mix(fitted: FittedDrive, values: Values, exact: Bool[np.ndarray, "nv"]) -> Values:
     """Return the fitted values with armature and friction of a drawn drive in the joints that are not exact."""
     armature = np.where(exact, fitted.values["bench"]["armature"], values["bench"]["armature"])
     friction = dict(fitted.values["friction"])
@@ -211,7 +211,7 @@ def _descend(objective: Objective) -> tuple[Float[np.ndarray, "coordinates"], fl
 
 
 def _refit(
-    fitted: Identified,
+    fitted: FittedDrive,
     followed: Segments,
     loss: Float[np.ndarray, "nv"],
     damping: Float[np.ndarray, "nv"],
@@ -228,7 +228,7 @@ def _refit(
 
 
 def _pose(
-    fitted: Identified,
+    fitted: FittedDrive,
     followed: Segments,
     loss: Float[np.ndarray, "nv"],
     damping: Float[np.ndarray, "nv"],
@@ -256,7 +256,7 @@ def _pose(
 
 
 def _say(
-    fitted: Identified, armature: Float[np.ndarray, "nv"], before: float, after: float, exact: Bool[np.ndarray, "nv"]
+    fitted: FittedDrive, armature: Float[np.ndarray, "nv"], before: float, after: float, exact: Bool[np.ndarray, "nv"]
 ) -> str:
     identified, units = fitted.values["bench"]["armature"], UNITS[fitted.bench.joint_type]
     unit, inertia = units["position"], units["inertia"]
@@ -277,11 +277,11 @@ def _take_exact(
     return Nearest(bench, loss, damping, say_law(model), f"friction of one {', '.join(model.inputs)}")
 
 
-def _lack(fitted: Identified, exact: Bool[np.ndarray, "nv"]) -> str:
+def _lack(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"]) -> str:
     return f"frictionloss and damping are no {_name(fitted, exact)}"
 
 
-def _say_drawn(fitted: Identified, rms: float, exact: Bool[np.ndarray, "nv"]) -> str:
+def _say_drawn(fitted: FittedDrive, rms: float, exact: Bool[np.ndarray, "nv"]) -> str:
     unit = UNITS[fitted.bench.joint_type]["position"]
     return (
         f"A frictionloss and a damping are no {_name(fitted, exact)}: they and the armature were refitted to the drawn "
@@ -290,7 +290,7 @@ def _say_drawn(fitted: Identified, rms: float, exact: Bool[np.ndarray, "nv"]) ->
     )
 
 
-def _name(fitted: Identified, exact: Bool[np.ndarray, "nv"]) -> str:
+def _name(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"]) -> str:
     """Name the friction models that MuJoCo does not have, and their joints unless all joints have one."""
     joints = np.flatnonzero(~exact).tolist()
     laws = ", ".join(dict.fromkeys(fitted.model.of_joint(joint)[0].name for joint in joints))

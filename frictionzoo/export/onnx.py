@@ -13,7 +13,7 @@ from frictionzoo import __version__
 from frictionzoo.core.state import FrictionTerms
 from frictionzoo.export.base import register_target
 from frictionzoo.export.graph import Graph, GraphFile, list_facts, list_units
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 
 @register_target("onnx")
@@ -23,7 +23,7 @@ class Onnx(GraphFile):
     packages: ClassVar[tuple[str, ...]] = ("onnx", "onnxscript", "onnxruntime")
     file, runtime = "friction.onnx", "ONNX Runtime"
 
-    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: Identified) -> bytes:
+    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: FittedDrive) -> bytes:
         """See `GraphFile.serialise`."""
         batch = torch.export.Dim("batch")
         logger = logging.getLogger("torch.onnx")
@@ -60,7 +60,7 @@ def _without_traces(proto: Any) -> Any:
     return proto
 
 
-def _describe(proto: Any, fitted: Identified) -> Any:
+def _describe(proto: Any, fitted: FittedDrive) -> Any:
     """Add the metadata, and the unit of each input and output."""
     facts, units = list_facts(fitted), list_units(fitted)
     proto.producer_name, proto.producer_version = "frictionzoo", __version__

@@ -20,7 +20,7 @@ from frictionzoo.export.robot import ACTUATORS, put_into
 from frictionzoo.export.simulate import run_loaded
 from frictionzoo.export.variants import Quantity, Ranges, Variants, draw_variants, list_quantities, read_ranges
 from frictionzoo.export.written import Difference, Export
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 SAMPLES, FOLDER, NOMINAL = "samples.npz", "samples", "nominal"
 _COUNT, _FILES, _MOST = 256, 8, 100_000
@@ -28,7 +28,7 @@ _OFFSETS = ("position_offset", "torque_offset")
 _LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
 
 _WHOLE = 1e-6  # rounding tolerance, as a share of a step
-Drive = tuple[Identified, Nearest]
+Drive = tuple[FittedDrive, Nearest]
 """A drive, and the same with MuJoCo's joint friction."""
 
 
@@ -59,7 +59,7 @@ class Randomisation(Target):
     }
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         asked = _read(fitted, options)
         variants = draw_variants(fitted, asked.count, asked.seed, asked.ranges)
@@ -79,7 +79,7 @@ class Randomisation(Target):
         return Export((SAMPLES, MJLAB.file, ISAAC_LAB.file, *files), differences, limits)
 
 
-def _read(fitted: Identified, options: Mapping[str, str]) -> _Asked:
+def _read(fitted: FittedDrive, options: Mapping[str, str]) -> _Asked:
     operation = options.get("operation", OPERATIONS[0])
     if operation not in OPERATIONS:
         raise ConfigError(f"operation={operation}: no such operation; {closest(operation, OPERATIONS)}")
@@ -97,7 +97,7 @@ def _read_count(options: Mapping[str, str], name: str, default: int, low: int, h
     return int(number)
 
 
-def write_samples(path: Path, fitted: Identified, quantities: Sequence[Quantity], seed: int) -> None:
+def write_samples(path: Path, fitted: FittedDrive, quantities: Sequence[Quantity], seed: int) -> None:
     """Write the drives as plain arrays.
 
     Each quantity is an array of shape (count, nv) under its name. `joints` lists the nv joints, `names` the quantities

@@ -22,8 +22,8 @@ from frictionzoo.export.in_place import InPlace, Tag
 from frictionzoo.export.nearest import Nearest, say_law
 from frictionzoo.export.ranges import list_limits
 from frictionzoo.export.written import Difference
-from frictionzoo.result.identified import Identified
-from frictionzoo.result.simulator import RK4, read_integrator
+from frictionzoo.result.fitted_drive import FittedDrive
+from frictionzoo.result.simulator import RK4
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # override the robot's defaults
@@ -66,7 +66,7 @@ class Equipped:
         return replace(self, content=file.write())
 
 
-def _refuse_inertia(path: Path, fitted: Identified) -> None:
+def _refuse_inertia(path: Path, fitted: FittedDrive) -> None:
     """Raise ExportError if inertias or gravity of the identified drive differ from its file."""
     if fitted.bench.inertia and path == Path(fitted.bench.source):
         links = ", ".join(list(fitted.bench.inertia)[:3])
@@ -83,7 +83,7 @@ def _refuse_inertia(path: Path, fitted: Identified) -> None:
 
 
 def put_into(
-    path: Path, joints: Sequence[str], actuators: str, fitted: Identified, nearest: Nearest, bench: str
+    path: Path, joints: Sequence[str], actuators: str, fitted: FittedDrive, nearest: Nearest, bench: str
 ) -> Equipped:
     """Put the drive into joints of a robot's file, and leave all other bytes unchanged.
 
@@ -139,7 +139,7 @@ def put_into(
 
 
 def compare_torque(
-    robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool
+    robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators: bool
 ) -> tuple[Difference, tuple[str, ...]]:
     """Compare the torque of the file's actuators and damping with the drive's, in MuJoCo C at recorded states.
 
@@ -160,7 +160,7 @@ def compare_torque(
     return measure("torque", fitted, np.array(came), expected[:, column], over), said
 
 
-def offset_of(fitted: Identified) -> Float[np.ndarray, "nv"]:
+def offset_of(fitted: FittedDrive) -> Float[np.ndarray, "nv"]:
     """Return the offset of true from recorded positions [rad or m]."""
     return fitted.values["bench"].get("position_offset", np.zeros(fitted.bench.nv))
 
@@ -205,7 +205,7 @@ def _compile(content: bytes, path: Path) -> str | None:
     return None
 
 
-def _pick_states(fitted: Identified) -> DriveState:
+def _pick_states(fitted: FittedDrive) -> DriveState:
     """Pick some recorded states, with the `ctrl` of MuJoCo's actuators."""
     bench, samples = fitted.bench, fitted.samples
     signals = fitted.acting().map(lambda signal: signal[:, :, 0].reshape(-1, bench.nv))
@@ -256,7 +256,7 @@ def _is_joint(tag: Tag) -> bool:
     return tag.name == "joint" and (tag.path[:2] == ("mujoco", "worldbody") or tag.path == ("robot",))
 
 
-def _match(path: Path, joints: Sequence[str], found: Sequence[str], fitted: Identified) -> tuple[int, ...]:
+def _match(path: Path, joints: Sequence[str], found: Sequence[str], fitted: FittedDrive) -> tuple[int, ...]:
     """Return the column of the drive's values for each joint."""
     for name in joints:
         if name not in found:
@@ -300,14 +300,14 @@ def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np
     file.append(joint, ET.Comment(f" armature {armature}: URDF has no place for it "))
 
 
-def _meant(fitted: Identified, nearest: Nearest) -> Affine:
+def _meant(fitted: FittedDrive, nearest: Nearest) -> Affine:
     """Return the actuators' coefficients for true positions; the bench's are for encoder positions."""
     law = fitted.bench.actuator.affine(nearest.bench)
     return law._replace(bias0=law.bias0 - law.bias1 * offset_of(fitted))
 
 
 def describe_law(
-    fitted: Identified, nearest: Nearest, column: int, general: ET.Element, timestep: float
+    fitted: FittedDrive, nearest: Nearest, column: int, general: ET.Element, timestep: float
 ) -> dict[str, str]:
     """Return the attributes of a joint's actuator for the robot's positions and time step [s]."""
     law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *_LATE)}
@@ -317,15 +317,15 @@ def describe_law(
     return law
 
 
-def write_late(fitted: Identified, nearest: Nearest, timestep: float) -> dict[str, Float[np.ndarray, "nv"]]:
+def write_late(fitted: FittedDrive, nearest: Nearest, timestep: float) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the delays [s] of the actuators for this time step [s]; empty without a delay."""
     late = {name: value for name, value in nearest.bench.items() if name == "delay"}
-    return {name: stretch(value, timestep) for name, value in late.items()} if read_integrator(fitted) == RK4 else late
+    return {name: stretch(value, timestep) for name, value in late.items()} if fitted.integrator == RK4 else late
 
 
-def set_option(file: InPlace, fitted: Identified) -> None:
+def set_option(file: InPlace, fitted: FittedDrive) -> None:
     """Write time step and integrator of the drive into the `option` element of an MJCF."""
-    said = {"timestep": in_full(fitted.timestep), "integrator": read_integrator(fitted)}
+    said = {"timestep": in_full(fitted.timestep), "integrator": fitted.integrator}
     options = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "option"]
     for tag in options:
         file.set(tag, said)
@@ -333,9 +333,9 @@ def set_option(file: InPlace, fitted: Identified) -> None:
         file.append(file.tags[0], ET.Element("option", said))
 
 
-def _change_option(file: InPlace, option: mujoco.MjOption, fitted: Identified) -> list[str]:
+def _change_option(file: InPlace, option: mujoco.MjOption, fitted: FittedDrive) -> list[str]:
     """Write time step and integrator if the file has others; return a sentence on the change."""
-    own, wanted = mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"), read_integrator(fitted)
+    own, wanted = mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"), fitted.integrator
     # Parameters for implicitfast also hold for implicit.
     if np.isclose(option.timestep, fitted.timestep, rtol=1e-6) and wanted.lower().startswith(own.lower()):
         return []
@@ -396,7 +396,7 @@ def _refuse_keys(file: InPlace, path: Path, before: mujoco.MjModel, after: mujoc
             )
 
 
-def _refuse_unlike(after: Source, robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool) -> None:
+def _refuse_unlike(after: Source, robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators: bool) -> None:
     """Read the written file back, and refuse values changed by the file's defaults or other actuators."""
     ids = [after.model.joint(name).id for name in robot.joints]
     if not np.isnan(read_friction(after, ids)["stiffness"]).all():

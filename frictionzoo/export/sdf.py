@@ -25,7 +25,7 @@ from frictionzoo.export.skeleton import (
     say_lacks,
 )
 from frictionzoo.export.written import Export
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.sdf"
 _VERSION = "1.7"  # the first version with poses relative to a named frame
@@ -43,7 +43,7 @@ class Sdf(Target):
     options: ClassVar[Mapping[str, str]] = {"armature": "joints, as Drake reads it, or links, for Gazebo; else joints"}
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         place = options.get("armature", _PLACES[0])
         if place not in _PLACES:
@@ -66,7 +66,7 @@ class Sdf(Target):
         return Export((FILE,), (difference,), (*say_lacks(fitted, nearest, in_links), *said))
 
 
-def write_sdf(fitted: Identified, nearest: Nearest, in_links: bool = False) -> str:
+def write_sdf(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> str:
     """Write the file; a joint has the frame of its link.
 
     Args:
@@ -111,7 +111,7 @@ def _name_links(links: Sequence[Link]) -> dict[str, str]:
     return names
 
 
-def _load(link: Link, armature: float, fitted: Identified) -> Link:
+def _load(link: Link, armature: float, fitted: FittedDrive) -> Link:
     """Add the armature to a link: to the mass for a slide; for a hinge as a thin disc about the axis."""
     bench = fitted.bench
     if bench.payload is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from frictionzoo.core.state import Signals
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 PAYLOADS = "Payloads of recordings are left out; for the difference above they were put into the model."
 _WHOLE = 0.01  # relative deviation of a sample from whole steps that is rounded away, as for recordings
@@ -42,7 +42,7 @@ class Place:
     put_load: Callable[[mujoco.MjModel, Float[np.ndarray, "load"]], None]
 
     @classmethod
-    def of_bench(cls, fitted: Identified) -> "Place":
+    def of_bench(cls, fitted: FittedDrive) -> "Place":
         """Return the indices for the bench's MJCF, which has only these joints, and recorded positions."""
         each = np.arange(fitted.bench.nv)
         return cls(each, each, each, each, np.zeros(fitted.bench.nv), fitted.bench.put_load)
@@ -50,7 +50,7 @@ class Place:
 
 def simulate(
     model: mujoco.MjModel,
-    fitted: Identified,
+    fitted: FittedDrive,
     step: Step,
     prepare: Callable[[mujoco.MjModel, mujoco.MjData, int], None] = lambda *_: None,
     late: bool = True,
@@ -104,24 +104,24 @@ def _without_log() -> Iterator[None]:
         mujoco.set_mju_user_warning(None)
 
 
-def _steps_a_sample(fitted: Identified, timestep: float) -> float:
+def _steps_a_sample(fitted: FittedDrive, timestep: float) -> float:
     """Return the number of time steps [s] in a recorded sample, rounded if it is nearly whole."""
     steps = fitted.segments.timestep / timestep
     whole = max(1.0, float(round(steps)))
     return whole if abs(steps / whole - 1) <= _WHOLE else steps
 
 
-def _held(fitted: Identified, timestep: float, step: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+def _held(fitted: FittedDrive, timestep: float, step: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
     """Return the index in `Segments.signals` of a step's sample; steps before the first state are negative."""
     segments = fitted.segments
     sample = segments.history + np.floor((step + _ROUNDING) / _steps_a_sample(fitted, timestep)).astype(int)
     return np.clip(sample, 0, segments.history + segments.length - 1)
 
 
-def _act(fitted: Identified, timestep: float, late: bool) -> Signals:
+def _act(fitted: FittedDrive, timestep: float, late: bool) -> Signals:
     """Return the signals of each step of the long test rollouts, each of shape (batch, steps, nv).
 
-    Like `frictionzoo.simulate.rollout.applied`, for any time step [s].
+    Like `frictionzoo.simulation.rollout.applied`, for any time step [s].
     """
     per_sample, joint = _steps_a_sample(fitted, timestep), np.arange(fitted.bench.nv)
     step = np.arange(int(np.ceil(fitted.segments.length * per_sample - _ROUNDING)))[:, None]
@@ -140,7 +140,7 @@ def _act(fitted: Identified, timestep: float, late: bool) -> Signals:
 
 
 def _at_samples(
-    states: Float[np.ndarray, "instants 2 nv"], fitted: Identified, timestep: float
+    states: Float[np.ndarray, "instants 2 nv"], fitted: FittedDrive, timestep: float
 ) -> Float[np.ndarray, "time nv"]:
     """Interpolate positions at the recorded samples, by cubics through positions and velocities of the steps."""
     at = _steps_a_sample(fitted, timestep) * np.arange(1, fitted.segments.length + 1)
@@ -152,7 +152,7 @@ def _at_samples(
     return (1 - blend) * start[:, 0] + blend * end[:, 0] + timestep * bend
 
 
-def step_with_control(fitted: Identified) -> Step:
+def step_with_control(fitted: FittedDrive) -> Step:
     """Return a step in which the caller computes the controller of the actuator model."""
     bench = fitted.bench
 
@@ -166,7 +166,7 @@ def step_with_control(fitted: Identified) -> Step:
 
 def run_loaded(
     model: mujoco.MjModel,
-    fitted: Identified,
+    fitted: FittedDrive,
     place: Place | None = None,
     begin: Callable[[mujoco.MjData, int], None] = lambda *_: None,
     late: bool | None = None,
@@ -212,7 +212,7 @@ def run_loaded(
     return simulate(model, fitted, step, prepare, late, place)
 
 
-def commands_before(fitted: Identified, rollout: int) -> Signals:
+def commands_before(fitted: FittedDrive, rollout: int) -> Signals:
     """Return the commands of the steps before the first state of a rollout, the newest last; at least one step.
 
     Each has shape (steps, nv); `inputs` has only commands.

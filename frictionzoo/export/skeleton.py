@@ -15,7 +15,7 @@ from frictionzoo.export.base import list_values
 from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import run_loaded
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 WORLD = "world"
 DRAKE = "http://drake.mit.edu"
@@ -53,7 +53,7 @@ class Link(NamedTuple):
     friction: float
 
 
-def read_links(fitted: Identified, nearest: Nearest) -> list[Link]:
+def read_links(fitted: FittedDrive, nearest: Nearest) -> list[Link]:
     """Read the links of the bench, with MuJoCo's joint friction.
 
     Raises:
@@ -110,7 +110,7 @@ def _anchor(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "3"]:
 
 
 def run_links(
-    spec: mujoco.MjSpec, fitted: Identified, nearest: Nearest, armature: Sequence[float]
+    spec: mujoco.MjSpec, fitted: FittedDrive, nearest: Nearest, armature: Sequence[float]
 ) -> Float[np.ndarray, "batch time nv"]:
     """Simulate the long test rollouts in MuJoCo C with links from a written file; return positions.
 
@@ -149,7 +149,7 @@ def list_numbers(values: Iterable[float]) -> str:
     return " ".join(map(in_full, values))
 
 
-def say_lacks(fitted: Identified, nearest: Nearest, in_links: bool = False) -> tuple[str, ...]:
+def say_lacks(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> tuple[str, ...]:
     """List the limits common to these formats; `in_links`: the armature is in the links."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
     armature = list_values(nearest.bench["armature"])

@@ -15,14 +15,14 @@ from frictionzoo.bench.robot_file.source import load
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.robot import Equipped, describe_law, offset_of
 from frictionzoo.export.simulate import Place
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 _AT_JOINT = {mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT}
 _OFF = mujoco.mjtDisableBit
 
 
 def mount(
-    robot: Equipped, fitted: Identified, nearest: Nearest, path: Path, bench: str
+    robot: Equipped, fitted: FittedDrive, nearest: Nearest, path: Path, bench: str
 ) -> tuple[mujoco.MjModel, Place]:
     """Put a robot's file with the drive on the test stand of the recordings.
 
@@ -94,7 +94,7 @@ def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
         spec.delete(joint)
 
 
-def _equip(spec: mujoco.MjSpec, fitted: Identified, nearest: Nearest, bench: str) -> None:
+def _equip(spec: mujoco.MjSpec, fitted: FittedDrive, nearest: Nearest, bench: str) -> None:
     """Add options, armatures and actuators of the bench's MJCF to a URDF."""
     spec.option = mujoco.MjSpec.from_string(bench).option
     template = ET.fromstring(bench)

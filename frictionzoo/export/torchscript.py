@@ -12,7 +12,7 @@ import torch
 
 from frictionzoo.export.base import register_target
 from frictionzoo.export.graph import Graph, GraphFile, list_facts
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 FACTS = "frictionzoo.json"
 """Metadata file in the archive: `torch.jit.load(path, _extra_files={"frictionzoo.json": ""})`."""
@@ -31,7 +31,7 @@ class TorchScript(GraphFile):
         "inputs are a history of position errors and velocities and whose output is the motor's torque.",
     )
 
-    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: Identified) -> bytes:
+    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: FittedDrive) -> bytes:
         """See `GraphFile.serialise`."""
         buffer = io.BytesIO()
         with warnings.catch_warnings():

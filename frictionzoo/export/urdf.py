@@ -17,7 +17,7 @@ from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inp
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
 from frictionzoo.export.written import Export
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.urdf"
 _KINDS = {"hinge": "continuous", "slide": "prismatic", "fixed": "fixed"}
@@ -32,7 +32,7 @@ class Urdf(Target):
     options: ClassVar[Mapping[str, str]] = INPUTS
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         nearest, drives, inputs = find_nearest(fitted), [], read_inputs(fitted, options)
         with suppress(ExportError):  # the command is not a position
@@ -45,7 +45,7 @@ class Urdf(Target):
         return Export((FILE,), (difference,), (*say_lacks(fitted, nearest), *_say(fitted, nearest, drives, inputs)))
 
 
-def write_urdf(fitted: Identified, nearest: Nearest, drives: list[Motor]) -> str:
+def write_urdf(fitted: FittedDrive, nearest: Nearest, drives: list[Motor]) -> str:
     """Write the file; `drives` is empty if the command is not a position."""
     robot = ET.Element("robot", {"name": "bench", "xmlns:drake": DRAKE})
     robot.append(write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"))
@@ -102,7 +102,7 @@ def _add_interfaces(system: ET.Element, name: str, drive: Motor | None) -> None:
             ET.SubElement(joint, "param", name=param).text = in_full(value)
 
 
-def _say(fitted: Identified, nearest: Nearest, drives: list[Motor], inputs: Mapping[str, float]) -> list[str]:
+def _say(fitted: FittedDrive, nearest: Nearest, drives: list[Motor], inputs: Mapping[str, float]) -> list[str]:
     """List the limits of a URDF and of the programs that read it."""
     said = [
         "Drake and ros2_control were not run: the difference is that of the file in MuJoCo, with its "

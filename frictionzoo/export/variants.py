@@ -13,7 +13,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.export.motor import Motor, motors
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.evaluate import Values
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import label_values, name_some
 from frictionzoo.result.types import ValueRow
 
@@ -78,7 +78,7 @@ class Variants:
         count: Number of drives.
     """
 
-    fitted: Identified
+    fitted: FittedDrive
     parameters: tuple[Quantity, ...]
     count: int
 
@@ -92,7 +92,7 @@ class Variants:
         return [self.at(number) for number in range(self.count)]
 
 
-def read_ranges(text: str, fitted: Identified) -> Ranges:
+def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
     """Read the option `ranges`: for each name two shares of the value, or `low` and `high` in the parameter's unit.
 
     Raises:
@@ -127,7 +127,7 @@ def _read_range(name: str, given: Any) -> Range:
     return Range(low, high, absolute)
 
 
-def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> Variants:
+def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) -> Variants:
     """Draw drives: identifiable parameters from their joint distribution, parameters with a stated range uniformly.
 
     An identifiable parameter with a stated range keeps the order of its draws, and so its correlations.
@@ -164,7 +164,7 @@ def _stated(ranges: Ranges, label: str) -> Range | None:
     return ranges.get(label, ranges.get(label.partition("/")[0]))
 
 
-def _refuse_vague(fitted: Identified, ranges: Ranges) -> None:
+def _refuse_vague(fitted: FittedDrive, ranges: Ranges) -> None:
     """Raise ExportError for identified parameters that are not identifiable and have no stated range."""
     entries = {label: entry for row in fitted.result["parameters"] for label, entry in label_values(row).items()}
     vague = [
@@ -176,14 +176,14 @@ def _refuse_vague(fitted: Identified, ranges: Ranges) -> None:
         return
     missing = fitted.result["no_intervals"]
     why = f"no interval ({missing})" if missing else "not identifiable on the run's recordings"
-    mend = "fit model=mujoco_default" if missing else "record what determines it (python -m frictionzoo.excite)"
+    mend = "fit model=mujoco_default" if missing else "record what determines it (python -m frictionzoo.design)"
     raise ExportError(
         f"{name_some(vague)}: {why}, expected a range to draw from; state it in shares of the value, "
         f"'ranges={{{vague[0]}: [0.8, 1.2]}}', or {mend} and export that run"
     )
 
 
-def _scale(fitted: Identified, label: str, entry: ValueRow, stated: Range) -> Float[np.ndarray, "2"]:
+def _scale(fitted: FittedDrive, label: str, entry: ValueRow, stated: Range) -> Float[np.ndarray, "2"]:
     """Return the ends of a stated range in the parameter's unit; raise ConfigError if they are invalid."""
     low, high = entry["low"], entry["high"]
     if label.partition("/")[0] == "bench.delay":  # longest delay covered by the recorded history
@@ -242,7 +242,7 @@ def list_quantities(
     return (*found, *(one for place, one in enumerate(of_motor) if any(one.why) or (gains and place < 2)))
 
 
-def at_rest(fitted: Identified, values: Values, frictionloss: Float[np.ndarray, "nv"]) -> Float[np.ndarray, "nv"]:
+def at_rest(fitted: FittedDrive, values: Values, frictionloss: Float[np.ndarray, "nv"]) -> Float[np.ndarray, "nv"]:
     """Return the friction that holds a joint at rest [N m or N]: `static_torque` if the model has it."""
     found = frictionloss.copy()
     for joint in range(fitted.bench.nv):
@@ -252,7 +252,7 @@ def at_rest(fitted: Identified, values: Values, frictionloss: Float[np.ndarray, 
     return found
 
 
-def _motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
+def _motors(fitted: FittedDrive, inputs: Mapping[str, float]) -> list[Motor]:
     """Return the joints' motors; none if they are not position-controlled."""
     try:
         return motors(fitted, inputs)

@@ -16,21 +16,13 @@ from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
 from frictionzoo.core.output import take_place, to_json, write_atomically
 from frictionzoo.core.params import UNITS
+from frictionzoo.core.table import align
 from frictionzoo.core.telling import escape_all
 from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
-from frictionzoo.result.simulator import (
-    RK4,
-    find_errors,
-    find_limited,
-    find_residual,
-    predict_origin,
-    read_integrator,
-    stands_in,
-)
-from frictionzoo.show.terminal import align
+from frictionzoo.result.simulator import RK4, find_limited
 
 NOTE = "export.json"
 ALL = "all"
@@ -52,7 +44,7 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
         FrictionzooError: An option is invalid, the run cannot be read, or the single target cannot represent the drive.
     """
     names = _choose(options)
-    fitted = Identified.load(folder)
+    fitted = FittedDrive.load(folder)
     output = Path(options.get("output", folder / "export"))
     fitted = _in_simulator(fitted, options)
     if options["target"] != ALL:
@@ -93,7 +85,7 @@ def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:
         yield one.target, compared, difference.over, *shown, limits, one.mark(difference)
 
 
-def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, str]) -> Written:
+def export_to(drive: FittedDrive, target: str, path: Path, options: Mapping[str, str]) -> Written:
     """Write a drive for one program.
 
     Args:
@@ -142,7 +134,7 @@ def _choose(options: Mapping[str, str]) -> list[str]:
     return names
 
 
-def _in_simulator(fitted: Identified, options: Mapping[str, str]) -> Identified:
+def _in_simulator(fitted: FittedDrive, options: Mapping[str, str]) -> FittedDrive:
     """Return the drive for the requested simulator, by default with the time step of its model file."""
     timestep, integrator = read_number(options, "timestep"), options.get("integrator")
     if timestep is None and integrator is None and (fitted.origin is not None or not fitted.bench.second_order):
@@ -150,14 +142,14 @@ def _in_simulator(fitted: Identified, options: Mapping[str, str]) -> Identified:
     return fitted.at(timestep, integrator)
 
 
-def _write(moved: Identified, name: str, place: Path, options: Mapping[str, str]) -> Written:
+def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str]) -> Written:
     target = get_target(name)()
     for package in target.packages:
         if find_spec(package) is None:
             raise ExportError(f"target={name}: {package} is not installed; pip install {package}")
-    if read_integrator(moved) not in target.integrators:
+    if moved.integrator not in target.integrators:
         raise ConfigError(
-            f"integrator={read_integrator(moved)}: target={name} takes {' or '.join(target.integrators)}; change it, "
+            f"integrator={moved.integrator}: target={name} takes {' or '.join(target.integrators)}; change it, "
             "or write target=mjcf"
         )
     if target.instant and moved.model.memory:
@@ -177,18 +169,18 @@ def _write(moved: Identified, name: str, place: Path, options: Mapping[str, str]
     return written
 
 
-def _say_simulator(moved: Identified) -> list[str]:
+def _say_simulator(moved: FittedDrive) -> list[str]:
     """Describe the time step of the parameters, and the error of the drive with it."""
-    origin, step, continuous = moved.origin, moved.timestep, stands_in(moved)
+    origin, step, continuous = moved.origin, moved.timestep, moved.is_simulated
     if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not continuous):
         return []
-    came, unit, integrator = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"], read_integrator(moved)
-    distance = np.abs(came - predict_origin(moved).qpos)
+    came, unit, integrator = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"], moved.integrator
+    distance = np.abs(came - moved.predict_origin().qpos)
     by = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
     if not continuous:
         fitted = f"those of {origin.timestep:g} s with which it was fitted"
         return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {by}."]
-    here, own = (f"{np.abs(errors).mean():.2g} {unit}" for errors in (find_errors(moved, came), find_residual(moved)))
+    here, own = (f"{np.abs(errors).mean():.2g} {unit}" for errors in (moved.find_errors(came), moved.find_residual()))
     if integrator == RK4:
         return [
             f"Parameters are those for steps of {step:g} s with the integrator {RK4}: those of continuous time, with a "
@@ -199,13 +191,13 @@ def _say_simulator(moved: Identified) -> list[str]:
         f"In these the drive moves differently than in continuous time: {by}. Its mean error under held-out commands "
         f"is {here}, in continuous time {own}."
     ]
-    if limited := find_limited(moved):
+    if origin and continuous and (limited := find_limited(moved.values, origin.values)):
         joints = name_some([moved.bench.joints[joint] for joint in limited])
         said.append(f"For {joints} an armature cannot be as small as such steps need: take shorter ones.")
     return said
 
 
-def _note(fitted: Identified, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:
+def _note(fitted: FittedDrive, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:
     versions = {"python": platform.python_version(), "frictionzoo": __version__}
     return {
         "target": written.target,

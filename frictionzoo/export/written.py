@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-FAR = 0.1  # share of the drive's error; larger differences are marked
+from frictionzoo.result.run_types import FAR
 
 
 @dataclass(frozen=True)

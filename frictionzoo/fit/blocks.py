@@ -13,8 +13,8 @@ from jaxtyping import Array, Int
 
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.threads import usable_threads
-from frictionzoo.simulate.rollout import Rollout
-from frictionzoo.simulate.torch_rollout import TorchRollout
+from frictionzoo.simulation.rollout import Rollout
+from frictionzoo.simulation.torch_rollout import TorchRollout
 
 T = TypeVar("T")
 BLOCK_STATES = 25_000

@@ -27,7 +27,7 @@ from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.module import FitModule, Outcome
 from frictionzoo.fit.objective import Objective
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate.bridge import load_from_jax
+from frictionzoo.simulation.bridge import load_from_jax
 
 CHECKPOINT = "last.ckpt"
 BESIDE = 60  # terminal columns for the bar, its counts and its times

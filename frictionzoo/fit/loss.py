@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from frictionzoo.core.errors import ConfigError, closest, refuse_outside
 from frictionzoo.fit.blocks import Blocks, each
 from frictionzoo.fit.impulse import impulses
-from frictionzoo.simulate import Values
+from frictionzoo.simulation import Values
 
 ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "none": lambda z: z,

@@ -16,8 +16,8 @@ from frictionzoo.fit.base import Fit
 from frictionzoo.fit.chunk import Chunk, Progress, Trace, begin, make_chunk
 from frictionzoo.fit.objective import Objective
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import Values
-from frictionzoo.simulate.bridge import load_from_jax
+from frictionzoo.simulation import Values
+from frictionzoo.simulation.bridge import load_from_jax
 
 
 @dataclass(frozen=True)

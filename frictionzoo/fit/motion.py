@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.core.errors import ConfigError, LogError, refuse_outside
 from frictionzoo.core.log import Log
-from frictionzoo.logs.signals import check_filter, smooth
+from frictionzoo.data.signals import check_filter, smooth
 
 PASSED = 0.8  # pass band of the decimation filter, as a share of half the decimated sample rate
 _RIPPLE, _POLES = 0.05, 7  # ripple in dB and order of the decimation filter; an odd order passes constants unchanged

@@ -33,11 +33,11 @@ from frictionzoo.fit.shooting import Begun, Equations, Local, Mixed, Search, Sho
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.fit.tangents import Seen, Tangents
-from frictionzoo.simulate import Values
-from frictionzoo.simulate.base import FORWARD
-from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
-from frictionzoo.simulate.rollout import Rollout
-from frictionzoo.simulate.torch_rollout import TorchRollout
+from frictionzoo.simulation import Values
+from frictionzoo.simulation.base import FORWARD
+from frictionzoo.simulation.bridge import as_torch_function, to_arrays, to_tensors
+from frictionzoo.simulation.rollout import Rollout
+from frictionzoo.simulation.torch_rollout import TorchRollout
 
 T = TypeVar("T")
 

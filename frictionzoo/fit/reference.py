@@ -6,11 +6,11 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from frictionzoo.data.cache import cached, digest
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.objective import Objective
-from frictionzoo.logs.cache import cached, digest
-from frictionzoo.simulate import Values
+from frictionzoo.simulation import Values
 
 _ITERATIONS = 50  # a handful is usual
 

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.sparsity import Sparsity
-from frictionzoo.simulate import Values
-from frictionzoo.simulate.linear import solve_spd
+from frictionzoo.simulation import Values
+from frictionzoo.simulation.linear import solve_spd
 
 _MOST_LOOKS = 6  # trial states; few, because rollouts are nearly linear in them except where a joint starts or stops
 _ALONE = 1e-12  # predicted gain of the next step, as a share of the sum of squares, that ends a search outside a fit

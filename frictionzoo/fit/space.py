@@ -13,8 +13,8 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS, Param
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import Values
-from frictionzoo.simulate.bridge import to_jax
+from frictionzoo.simulation import Values
+from frictionzoo.simulation.bridge import to_jax
 
 
 class Place(NamedTuple):

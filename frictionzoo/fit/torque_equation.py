@@ -22,8 +22,8 @@ from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.fit.torque_balance import Box, Links
 from frictionzoo.models.base import sliding_torque
-from frictionzoo.simulate import Values
-from frictionzoo.simulate.drive import looks_at_one_joint
+from frictionzoo.simulation import Values
+from frictionzoo.simulation.drive import looks_at_one_joint
 
 COUPLED = 0.5
 """Share of the residual torque explained by another joint's motion above which a gear may couple the two joints."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.bench import Bench
-from frictionzoo.checkup.balance import balance
 from frictionzoo.core.config import list_choices
 from frictionzoo.core.described import remake
 from frictionzoo.core.log import Log
 from frictionzoo.core.params import AUTO, Param
+from frictionzoo.diagnostics.balance import balance
 from frictionzoo.identification.choices import Choice
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_joint import ByJoint

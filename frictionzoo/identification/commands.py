@@ -10,11 +10,11 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.checkup.findings import Repair
+from frictionzoo.bench.limits import Limits, refuse_unholdable
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.excite.limits import Limits, refuse_unholdable
-from frictionzoo.excite.recorded import recorded_limits, usual_inputs
+from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.identification.problem import Problem
+from frictionzoo.identification.recorded_limits import recorded_limits, usual_inputs
 from frictionzoo.identification.repairs import bench_call, complete_options, logs_call
 from frictionzoo.models import TorchFriction
 from frictionzoo.models.by_joint import ByJoint
@@ -24,7 +24,7 @@ from frictionzoo.result.verdict_types import CommandRow
 
 FIRST_LAW = "mujoco_default"  # suggested if no other model is
 TARGET = "mjcf"
-_RUN, _EXCITE = "python -m frictionzoo.run", "python -m frictionzoo.excite"
+_RUN, _EXCITE = "python -m frictionzoo.run", "python -m frictionzoo.design"
 _DISTILL = "python -m frictionzoo.distill"
 _OF_THE_FOLDER = re.compile(r"[+~]*(resume|output)=")
 _OF_THE_LAW = re.compile(r"[+~]*model\b")
@@ -205,7 +205,7 @@ def _excite_in_shell(problem: Problem, limits: Mapping[str, Any], law: str, orig
 
 
 def _excite_in_python(limits: Mapping[str, Any]) -> str:
-    return f'from frictionzoo.excite.excitation import excite; excite({_texts(limits)!r}, drive).save("excitation")'
+    return f'fz.design_recording({_texts(limits)!r}, drive).save("excitation")'
 
 
 def _texts(limits: Mapping[str, Any]) -> dict[str, str]:

@@ -1,20 +1,13 @@
 """Discretisation error of a result, measured by simulating with half the timestep."""
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from jaxtyping import Float
+from collections.abc import Sequence
+from typing import Any
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit import Objective, Space
-from frictionzoo.fit.base import Fit
-from frictionzoo.simulate.drive import Drive
-
-if TYPE_CHECKING:
-    from frictionzoo.identification.problem import Problem
+from frictionzoo.simulation.drive import Drive
 
 
 def is_wanted(asked: Any) -> bool:
@@ -26,28 +19,6 @@ def is_wanted(asked: Any) -> bool:
     if not isinstance(asked, bool):
         raise ConfigError(f"discretisation={asked}: expected true or false")
     return asked
-
-
-def finer(problem: "Problem") -> Callable[[Float[np.ndarray, "coordinates"]], Objective] | None:
-    """Return a function that makes the objective near a vector with half the timestep.
-
-    None if `discretisation` is false, or if the fit minimises an objective without rollouts.
-
-    Raises:
-        ConfigError: See `is_wanted`.
-    """
-    by_rollouts = type(problem.fit).compile_scores is Fit.compile_scores
-    if not (is_wanted(problem.settings["discretisation"]) and by_rollouts):
-        return None
-    objective, pilot, half = problem.objective, problem.pilot, halve_step(problem.bench)
-
-    def approach(vector: Float[np.ndarray, "coordinates"]) -> Objective:
-        if pilot is None:
-            return objective.approaching(in_other_steps(objective, problem.drive, half), vector)
-        half_wide = remake(pilot.bench, timestep=half.timestep, solreffriction=list(half.solreffriction))
-        return objective.approaching(pilot.simulate(half_wide), vector)
-
-    return approach
 
 
 def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:

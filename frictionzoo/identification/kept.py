@@ -14,18 +14,18 @@ import safetensors.numpy
 
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
-from frictionzoo.checkup.findings import Doubt, Repair
 from frictionzoo.core.config import list_options
 from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.output import SETTLED, to_json, write_atomically
 from frictionzoo.core.params import AUTO
+from frictionzoo.data.cache import digest
+from frictionzoo.diagnostics.findings import Doubt, Repair
 from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.pilot import Found
 from frictionzoo.identification.recipe import Settled, settle
 from frictionzoo.identification.stages import Stages
-from frictionzoo.logs.cache import digest
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.record import describe_data
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.log import Log
-from frictionzoo.logs.signals import find_noise
+from frictionzoo.data.signals import find_noise
 
 _ROUNDING = (0.2, 0.4)  # range of noise over encoder step that counts as rounding alone (0.29)
 _WHOLE = 1e-3  # relative deviation of a difference between readings from a whole multiple of the step

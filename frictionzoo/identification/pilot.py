@@ -25,7 +25,7 @@ from frictionzoo.fit.uncertainty import WIDEST, assess
 from frictionzoo.identification.choices import OPTIONAL
 from frictionzoo.identification.discretisation import in_other_steps
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 _EXACT = 3e-3  # half interval that is narrow enough, relative to the value or to its scale if that is larger
 _COLLINEAR = 1e-8

@@ -14,8 +14,6 @@ import numpy as np
 from frictionzoo.bench import Bench
 from frictionzoo.bench.given import Given
 from frictionzoo.bench.signals import pair_all
-from frictionzoo.checkup import check_up
-from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.build import build
 from frictionzoo.core.described import describe, remake
 from frictionzoo.core.errors import RunError
@@ -23,6 +21,10 @@ from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
+from frictionzoo.core.table import align, list_columns
+from frictionzoo.data.pairing import describe_columns
+from frictionzoo.diagnostics import check_up
+from frictionzoo.diagnostics.findings import Doubt
 from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.recordings import Recordings
@@ -31,17 +33,15 @@ from frictionzoo.identification.bounds import widen_bounds
 from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.pilot import Pilot
 from frictionzoo.identification.recipe import Settled, settle
-from frictionzoo.logs.pairing import describe_columns
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.record import describe_data
 from frictionzoo.result.torque import choose_filtering
-from frictionzoo.show.terminal import align, list_columns
-from frictionzoo.simulate.context import computing, refuse_precision
-from frictionzoo.simulate.drive import Drive, refuse_other_joints
-from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
+from frictionzoo.simulation.context import computing, refuse_precision
+from frictionzoo.simulation.drive import Drive, refuse_other_joints
+from frictionzoo.simulation.proof import Proof, Recorded, initial_values, prove
 
 _log = logging.getLogger(__name__)
 _AT_ONCE = 25_000  # samples in one batch
@@ -235,7 +235,7 @@ class Problem:
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
         return cls(*posed, fit, settings, seconds, links, parts.settled.choices, pilot)
 
-    def following(self, teacher: Identified) -> "Problem":
+    def following(self, teacher: FittedDrive) -> "Problem":
         """Return the problem with a fitted drive's rollouts as training segments; the evaluation is unchanged.
 
         The bench starts at the fitted values, and only its armature is free.

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from frictionzoo.bench import Bench
-from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
+from frictionzoo.diagnostics.findings import Doubt
 from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import OPTIONAL, Choice
 from frictionzoo.identification.pilot import Found, Pilot

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.bench import Bench
-from frictionzoo.checkup.findings import Repair
 from frictionzoo.core.described import describe
-from frictionzoo.logs.clean import Cleaning
-from frictionzoo.logs.files import Files
+from frictionzoo.data.clean import Cleaning
+from frictionzoo.data.files import Files
+from frictionzoo.diagnostics.findings import Repair
 
 _PARAMS, _SIGN, _BENCH, _DATA = ".params.", "data.sign.", "bench.", "data."
 _WIDER = 10.0  # distance factor of a new bound from a repaired value outside the bounds

@@ -3,6 +3,7 @@
 import copy
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,20 +15,21 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.telling import tell
-from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
+from frictionzoo.data.cache import cache_folder
+from frictionzoo.fit import Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
+from frictionzoo.fit.base import Fit
 from frictionzoo.fit.loop import Record
 from frictionzoo.fit.posterior import Fitted
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.commands import IN_MEMORY, Origin, suggest_commands
-from frictionzoo.identification.discretisation import finer
+from frictionzoo.identification.discretisation import halve_step, in_other_steps, is_wanted
 from frictionzoo.identification.problem import Problem
-from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline
 from frictionzoo.result.curves import Curves, sample_friction
 from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Judgement
-from frictionzoo.result.identified import Identified
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.portrait import DRAWS, Rows, portray
 from frictionzoo.result.record import Findings, build_result
 from frictionzoo.result.residuals import Left, describe_residual, find_left
@@ -35,9 +37,9 @@ from frictionzoo.result.torque import choose_filtering, measure_torque
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import FitRow, Result, TimingRow
 from frictionzoo.result.verdict import list_moving, still_falling
-from frictionzoo.simulate import Values
-from frictionzoo.simulate.drive import Drive
-from frictionzoo.simulate.rollout import make_observer
+from frictionzoo.simulation import Values
+from frictionzoo.simulation.drive import Drive
+from frictionzoo.simulation.rollout import make_observer
 
 _log = logging.getLogger(__name__)
 
@@ -50,7 +52,7 @@ def solve(
     record: Record | None = None,
     measured: Problem | None = None,
     origin: Origin = IN_MEMORY,
-) -> Identified:
+) -> FittedDrive:
     """Identify a drive, in the `computing` context in which the problem was posed.
 
     Args:
@@ -109,9 +111,9 @@ def solve(
     return _hand_over(problem, outcome, result, replace(curves, **_portray(problem, result, left)))
 
 
-def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curves) -> Identified:
+def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curves) -> FittedDrive:
     """Return the identified drive; the objective of its fit stays available while it is in memory."""
-    return Identified(
+    return FittedDrive(
         folder=None,
         result=result,
         bench=problem.bench,
@@ -124,6 +126,28 @@ def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curve
         complaint=outcome.message,
         fitted=Fitted(problem.objective, outcome.vector, problem.fit),
     )
+
+
+def finer(problem: Problem) -> Callable[[Float[np.ndarray, "coordinates"]], Objective] | None:
+    """Return a function that makes the objective near a vector with half the timestep.
+
+    None if `discretisation` is false, or if the fit minimises an objective without rollouts.
+
+    Raises:
+        ConfigError: See `is_wanted`.
+    """
+    by_rollouts = type(problem.fit).compile_scores is Fit.compile_scores
+    if not (is_wanted(problem.settings["discretisation"]) and by_rollouts):
+        return None
+    objective, pilot, half = problem.objective, problem.pilot, halve_step(problem.bench)
+
+    def approach(vector: Float[np.ndarray, "coordinates"]) -> Objective:
+        if pilot is None:
+            return objective.approaching(in_other_steps(objective, problem.drive, half), vector)
+        half_wide = remake(pilot.bench, timestep=half.timestep, solreffriction=list(half.solreffriction))
+        return objective.approaching(pilot.simulate(half_wide), vector)
+
+    return approach
 
 
 def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:

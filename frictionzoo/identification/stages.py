@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.base import DEFAULT_SOLREFFRICTION
-from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.telling import tell
+from frictionzoo.diagnostics.findings import Doubt
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt

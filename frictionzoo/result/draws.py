@@ -16,7 +16,7 @@ from frictionzoo.fit.space import Space
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result.types import Result
 from frictionzoo.result.values import Parameter, read_parameters
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulation.context import computing
 
 
 class Posterior(dict[str, Float[np.ndarray, "count nv"]]):

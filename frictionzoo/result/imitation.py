@@ -10,10 +10,10 @@ from frictionzoo.core.described import remake
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_rollouts
+from frictionzoo.data.signals import find_noise, find_quantum
 from frictionzoo.fit import Space
 from frictionzoo.fit.recordings import Recordings
-from frictionzoo.logs.signals import find_noise, find_quantum
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulation.drive import Drive
 
 MOST_STEPS = 1e6  # most simulation steps times joints
 STIFFEST = 5e-4  # s, smallest time constant of the friction constraint

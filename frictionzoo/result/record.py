@@ -19,9 +19,9 @@ from frictionzoo.core.jobs import read_json, refuse_links, refuse_unfinished
 from frictionzoo.core.log import Dataset, Log, pool_origins
 from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
+from frictionzoo.data.pairing import describe_columns
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.uncertainty import Uncertainty
-from frictionzoo.logs.pairing import describe_columns
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result import run_types, types
 from frictionzoo.result.covariance import describe_covariance
@@ -34,9 +34,9 @@ from frictionzoo.result.residual_types import ResidualRow
 from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import explain_failure, judge
 from frictionzoo.result.verdict_types import CommandRow
-from frictionzoo.simulate.proof import Proof
+from frictionzoo.simulation.proof import Proof
 
-SCHEMA_VERSION: Final = 8
+SCHEMA_VERSION: Final = 9
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 

@@ -17,11 +17,11 @@ from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState
+from frictionzoo.data.signals import find_noise
 from frictionzoo.fit import Space
 from frictionzoo.fit.motion import Decimation, Filtering
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.torque_equation import TorqueEquation
-from frictionzoo.logs.signals import find_noise
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.formula import torch_state

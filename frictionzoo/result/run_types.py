@@ -4,6 +4,8 @@ from typing import Annotated, Literal, TypedDict
 
 from frictionzoo.result.kinds import Count, Natural, NotNegative, Positive, Text
 
+FAR = 0.1  # share of the drive's error; larger differences of a model file are marked
+
 
 class FitRow(TypedDict):
     """The fit."""

@@ -1,8 +1,7 @@
 """Conversion of a drive to parameters with which a simulator with MuJoCo's steps reproduces its motion."""
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,15 +12,11 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.segments import Segments
+from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.models import FrictionModel
-from frictionzoo.result.evaluate import Prediction
-from frictionzoo.result.read_back import hold, thin
-from frictionzoo.simulate import Values, friction_of
-from frictionzoo.simulate.second_order import SecondOrder
-
-if TYPE_CHECKING:
-    from frictionzoo.result.identified import Identified
+from frictionzoo.result.read_back import thin
+from frictionzoo.simulation import Values, friction_of
+from frictionzoo.simulation.second_order import SecondOrder
 
 RK4 = "RK4"
 """MuJoCo's fourth-order integrator, which needs the parameters in continuous time."""
@@ -30,21 +25,47 @@ _MOST_SHARED = 20  # most samples tried that last a whole number of steps
 _WHOLE = 0.01  # largest relative deviation from a whole number of steps, as for recordings
 
 
-def put_into_simulator(drive: "Identified", timestep: float | None, integrator: str | None) -> "Identified":
-    """Return the drive for a simulator, as `Identified.at` does."""
-    drive = drive.origin if drive.origin is not None and stands_in(drive) else drive
-    settings, values, continuous = drive.result["settings"]["bench"], drive.values, drive.bench.second_order
+class Simulated(NamedTuple):
+    """What replaces the parts of a drive in a simulator; see `FittedDrive`."""
+
+    bench: Bench
+    values: Values
+    segments: Segments
+    sampling: Sampling
+
+
+def put_into_simulator(
+    bench: Bench,
+    model: FrictionModel,
+    values: Values,
+    segments: Segments,
+    settings: Mapping[str, Any],
+    timestep: float | None,
+    integrator: str | None,
+) -> Simulated:
+    """Return the parts of a drive for a simulator, as `FittedDrive.at` describes.
+
+    Args:
+        bench: Bench of the drive.
+        model: Friction model.
+        values: Values of the drive.
+        segments: Long test rollouts.
+        settings: Section `bench` of the settings.
+        timestep: Simulation step [s], or None.
+        integrator: Name of the integrator, or None.
+    """
+    continuous = bench.second_order
     if integrator is not None and integrator.casefold() == RK4.casefold():
         integrator = RK4
     if integrator == RK4 and not continuous:
         raise ConfigError(
-            f"integrator={RK4}: the parameters hold for steps of {drive.timestep:g} s, expected a drive in "
+            f"integrator={RK4}: the parameters hold for steps of {bench.timestep:g} s, expected a drive in "
             "continuous time; identify it with bench.second_order=true"
         )
     if timestep is None:
-        home = remake(drive.bench, timestep=None).timestep if continuous else drive.timestep
-        timestep = drive.timestep if _share_samples(drive.segments, home) is None else home
-    every, interval = _share_samples(drive.segments, timestep), drive.segments.timestep
+        home = remake(bench, timestep=None).timestep if continuous else bench.timestep
+        timestep = bench.timestep if _share_samples(segments, home) is None else home
+    every, interval = _share_samples(segments, timestep), segments.timestep
     if every is None:
         raise ConfigError(
             f"timestep={timestep:g}; expected steps that divide {interval:g} s, the recordings' interval, or up to "
@@ -54,60 +75,25 @@ def put_into_simulator(drive: "Identified", timestep: float | None, integrator: 
     if integrator not in (None, RK4):
         step["integrator"] = integrator
     if integrator == RK4:
-        bench = build({**settings, **step, **_soften(drive.bench, timestep)}, Bench)
+        moved = build({**settings, **step, **_soften(bench, timestep)}, Bench)
     elif continuous:
-        bench = build_simulated(drive.bench, settings, values, step)
-        values = compensate(bench, drive.model, values, drive.segments)
+        moved = build_simulated(bench, settings, values, step)
+        values = compensate(moved, model, values, segments)
     else:
-        bench = build({**settings, **step}, Bench)
-    bench = bench.observing(drive.bench.observed)
-    sampling = bench.sampling(every * interval)
-    thinned = thin(drive.segments, every, sampling.history)
-    return replace(drive, bench=bench, values=values, segments=thinned, sampling=sampling, origin=drive)
+        moved = build({**settings, **step}, Bench)
+    moved = moved.observing(bench.observed)
+    sampling = moved.sampling(every * interval)
+    return Simulated(moved, values, thin(segments, every, sampling.history), sampling)
 
 
-def stands_in(drive: "Identified") -> bool:
-    """Return whether the drive represents, in a simulator, a drive in continuous time."""
-    return drive.origin is not None and drive.origin.bench.second_order
+def find_limited(values: Values, continuous: Values) -> list[int]:
+    """Find the joints whose compensated armature was raised to the smallest allowed value.
 
-
-def read_integrator(drive: "Identified") -> str:
-    """Return the integrator of the simulator for which the drive's parameters hold."""
-    return RK4 if stands_in(drive) and drive.bench.second_order else drive.bench.integrator
-
-
-def predict_origin(drive: "Identified") -> Prediction:
-    """Predict the long test rollouts of the drive that this one represents in a simulator.
-
-    The rollouts have this drive's samples and hold each command until the next sample.
+    Args:
+        values: Values for the simulator, from `compensate`.
+        continuous: Values of the drive in continuous time.
     """
-    if drive.origin is None:
-        return Prediction(*drive.rollout())
-    held = hold(drive.origin.recorded, _every(drive))
-    return Prediction(*(_pick(drive, part) for part in drive.origin.rollout(held)))
-
-
-def find_residual(drive: "Identified") -> Float[np.ndarray, "batch time nv"]:
-    """Return measured minus simulated positions of the original drive, in its simulation steps [rad or m]."""
-    origin = drive.origin or drive
-    return _pick(drive, origin.recorded.qpos[:, 1:] - origin.rollout()[0])
-
-
-def find_errors(drive: "Identified", qpos: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch time nv"]:
-    """Return measured minus simulated positions of the long test rollouts in a simulator [rad or m].
-
-    A simulator that keeps only every n-th sample holds commands longer than the recording did. The measured position
-    then includes the resulting change of the drive's motion.
-    """
-    return find_residual(drive) + predict_origin(drive).qpos - qpos
-
-
-def find_limited(drive: "Identified") -> list[int]:
-    """Find the joints whose compensated armature was raised to the smallest allowed value."""
-    if drive.origin is None or not stands_in(drive):
-        return []
-    armature, own = drive.values["bench"]["armature"], drive.origin.values["bench"]["armature"]
-    return np.flatnonzero(armature == _LEAST * own).tolist()
+    return np.flatnonzero(values["bench"]["armature"] == _LEAST * continuous["bench"]["armature"]).tolist()
 
 
 def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, step: Mapping[str, Any]) -> Bench:
@@ -168,16 +154,6 @@ def _share_samples(segments: Segments, timestep: float) -> int | None:
         if round(steps) and abs(steps / round(steps) - 1) <= _WHOLE / every**2:
             return every
     return None
-
-
-def _every(drive: "Identified") -> int:
-    """Return the number of recorded samples in one sample of the drive."""
-    return max(1, round(drive.segments.timestep / (drive.origin or drive).segments.timestep))
-
-
-def _pick(drive: "Identified", rows: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch samples nv"]:
-    """Pick the rows at the drive's samples from rows at the recorded samples."""
-    return rows[:, _every(drive) - 1 :: _every(drive)][:, : drive.segments.length]
 
 
 def _delay(values: Values, timestep: float) -> Float[np.ndarray, "nv"]:

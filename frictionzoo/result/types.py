@@ -283,7 +283,7 @@ class Result(TypedDict):
     rollouts diverged or nothing was fitted. A run writes this file last: if it exists, so do the run's other files.
     """
 
-    schema_version: Literal[8]
+    schema_version: Literal[9]
     """Schema version, increased by every change that affects readers of the file."""
     model: Text
     """Name of the friction model, a file of conf/model."""

@@ -1,0 +1,57 @@
+"""Files of a comparison: JSON, page, figures, and a LaTeX table."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.output import claim, write_atomically
+from frictionzoo.result.comparison.record import compare_runs
+from frictionzoo.result.comparison.runs import Run, read_runs
+from frictionzoo.result.comparison.types import Comparison
+
+FIGURES = (
+    *("figure3_parameters", "figure4_trajectories", "figure5_error", "figure6_mae", "error_by_horizon"),
+    *("error_by_speed", "error_by_load", "friction", "autocorrelation", "differences"),
+)
+FILES = (
+    *("comparison.json", "comparison.html", "table.tex"),
+    *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")),
+)
+"""All files that a comparison may write."""
+
+
+def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
+    """Compare the runs in these folders of runs or sweeps, and write the files of the comparison.
+
+    Raises:
+        RunError: A folder holds no run, runs are not comparable, or no run has a result.
+        OutputError: A file cannot be written.
+    """
+    with claim(output, "comparison", FILES):  # an unusable output folder raises before the work
+        runs, failures = read_runs(folders)
+    if not runs:
+        reasons = "; ".join(f"{failure.run}: {failure.reason}" for failure in failures)
+        raise RunError(f"no run has a result to compare: {reasons}")
+    comparison = compare_runs(runs, failures)
+    save_comparison(comparison, runs, output)
+    return comparison
+
+
+def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -> None:
+    """Write the files of a comparison of these runs, `comparison.json` last.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    # Imported here: a comparison without files does not need the plotting libraries.
+    from frictionzoo.report.comparison_figures import write_figures
+    from frictionzoo.report.comparison_page import write_page
+    from frictionzoo.report.latex import tabulate_latex
+
+    content = (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode()
+    with claim(output, "comparison", FILES):
+        write_figures(output / "figures", comparison, runs)
+        write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
+        write_page(output / "comparison.html", comparison, runs)
+        write_atomically(output / "comparison.json", content)

@@ -1,0 +1,57 @@
+"""`design_recording`: the next command to record, and its files."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from frictionzoo.core.errors import OutputError
+from frictionzoo.core.output import claim, to_json, write_atomically
+from frictionzoo.design.excitation import Excitation, excite
+from frictionzoo.design.write import files_of
+from frictionzoo.report.design_page import write_page
+from frictionzoo.result.fitted_drive import FittedDrive
+
+NOTE = "excitation.json"
+
+
+@dataclass(frozen=True)
+class Design(Excitation):
+    """A command ready to record, with its expected motion."""
+
+    def save(self, folder: str | Path) -> None:
+        """Write the command, its expected motion and the page, and `excitation.json` last.
+
+        Raises:
+            OutputError: The folder exists, or cannot be written; then no files remain.
+        """
+        folder = Path(folder)
+        refuse_existing(folder)
+        parts = files_of(self.joints, self.interval, self.motion, self.inputs, self.points, self.fps)
+        with claim(folder, "excitation", undone=True):
+            for name, content in parts.items():
+                write_atomically(folder / name, content)
+            note = to_json({**self.note, "files": list(parts)})
+            write_page(folder / "report.html", note, self.interval, self.motion)
+            write_atomically(folder / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
+
+
+def refuse_existing(folder: Path) -> None:
+    """Raise OutputError if the folder exists."""
+    if os.path.lexists(folder):
+        raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
+
+
+def design_recording(options: Mapping[str, str], run: FittedDrive | None = None) -> Design:
+    """Design the next command to record, as `python -m frictionzoo.design` does.
+
+    Args:
+        options: Options by name, as text; see `frictionzoo.design.excitation.excite`.
+        run: The run whose identified values describe the drive; None for the initial values of conf/.
+
+    Raises:
+        FrictionzooError: An option or the run is invalid, or no command keeps the limits.
+    """
+    excitation = excite(options, run)
+    return Design(**{field.name: getattr(excitation, field.name) for field in fields(excitation)})

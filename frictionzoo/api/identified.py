@@ -1,0 +1,118 @@
+"""`Identified`: the drive that `identify` and `load` return, with its plots, files and exports."""
+
+import copy
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+from matplotlib.figure import Figure
+
+from frictionzoo import __version__
+from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically
+from frictionzoo.export.written import Written
+from frictionzoo.result.curves import write_curves
+from frictionzoo.result.fitted_drive import FittedDrive
+from frictionzoo.result.read_back import LAW
+from frictionzoo.result.record import write_result
+from frictionzoo.result.types import Result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identified(FittedDrive):
+    """Identified drive of one run: parameters with intervals, errors, plots, simulation and export."""
+
+    @classmethod
+    def of(cls, drive: FittedDrive) -> "Identified":
+        """Return the same drive with plots, files and exports."""
+        return cls(**{field.name: getattr(drive, field.name) for field in fields(drive)})
+
+    def save(self, folder: str | Path) -> Result:
+        """Write figures, values, curves, MJCF and page. `result.json` comes last and marks a complete folder.
+
+        Args:
+            folder: Folder to write; created if missing. Unchanged files of an earlier run are replaced.
+
+        Returns:
+            Content of `result.json`; `written` gives the deviation of each model file from the drive.
+
+        Raises:
+            OutputError: A foreign file is in the way, or a file cannot be written.
+            RunError: The drive comes from a card.
+        """
+        self.recorded  # noqa: B018 - raises for a card
+        began, folder = time.perf_counter(), Path(folder)
+        with claim(folder, "run", RUN_FILES) as manifest:
+            manifest.remove(RESULT)
+            return self._write(folder, began)
+
+    def _write(self, folder: Path, began: float) -> Result:
+        # Imported here because the plotting libraries slow down reading a run.
+        from frictionzoo.export.bench import write_identified
+        from frictionzoo.report.replay import record_replay
+        from frictionzoo.report.run_page import write_report
+        from frictionzoo.report.run_plots import write_figures
+
+        write_figures(folder / "figures", self.result, self.curves)
+        # One entry only: the order of several entries in safetensors changes from run to run.
+        header = {"frictionzoo": f"{self.model.name}, version {__version__}"}
+        write_atomically(folder / LAW, safetensors.torch.save(dict(self.state), header))
+        write_curves(folder, self.curves)
+        # Same files as `python -m frictionzoo.export RUN target=mjcf`.
+        models = write_identified(self)
+        for model in models:
+            write_atomically(folder / model.name, model.content)
+        result = copy.deepcopy(self.result)
+        result["written"] = [model.describe(self) for model in models]
+        result["timing"]["total"] += time.perf_counter() - began
+        replay = record_replay(self.bench, self.values["bench"], self.curves, self.segments.timestep)
+        write_report(folder / "report.html", result, self.curves, replay)
+        write_result(folder / RESULT, result)
+        return result
+
+    def plot(self) -> Figure:
+        """Plot measured and simulated motion of the first long test rollout, with and without friction.
+
+        Returns:
+            Matplotlib figure, which a notebook shows and `savefig` writes.
+
+        Raises:
+            RunError: The drive comes from a card.
+        """
+        # Imported here because the plotting libraries slow down other uses.
+        from frictionzoo.report.run_plots import draw_rollout
+
+        self.recorded  # noqa: B018 - raises for a card
+        return draw_rollout(self.result, self.curves)
+
+    def export(self, target: str, path: str | Path, **options: str | float | int | Mapping[str, Any]) -> Written:
+        """Write the drive for another program, as `python -m frictionzoo.export` does.
+
+        Args:
+            target: Name of a target, such as `mjcf`; the documentation lists them.
+            path: Folder for all files of the target, or one file, selected by its suffix.
+            options: `timestep` [s] and `integrator` of the simulator, and options of the target.
+
+        Returns:
+            Written files, their deviation from this drive, and what they cannot represent.
+
+        Raises:
+            FrictionzooError: The target or an option is unknown, or the target cannot represent the drive.
+        """
+        from frictionzoo.export.write import as_text, export_to
+
+        return export_to(self, target, Path(path), {name: as_text(value) for name, value in options.items()})
+
+    def __repr__(self) -> str:
+        """Return parameters with intervals, test errors with and without friction, and warnings."""
+        from frictionzoo.report.terminal import summarise
+
+        return summarise(self.result, self.folder)
+
+    def _repr_html_(self) -> str:
+        """Return the same as HTML for a notebook."""
+        from frictionzoo.report.terminal import summarise_in_html
+
+        return summarise_in_html(self.result, self.folder)

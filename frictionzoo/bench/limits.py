@@ -1,0 +1,183 @@
+"""Limits of a designed command and its motion, and the shares of them in use."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.params import UNITS
+
+KINDS = ("commanded position", "commanded velocity", "position", "velocity", "torque")
+"""Limited quantities, in the order of `Limits.shares`."""
+_MOVED = 1e-3  # displacement of command or joint that tests the actuator [rad or m]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of position, velocity and torque for each joint.
+
+    Attributes:
+        home: Position at the beginning and the end [rad or m], of shape (nv,).
+        low: Lowest position [rad or m], of shape (nv,).
+        high: Highest position [rad or m], of shape (nv,).
+        velocity: Largest speed [rad/s or m/s], of shape (nv,).
+        torque: Largest magnitude of the actuator's torque or force [N m or N], of shape (nv,).
+
+    Raises:
+        ConfigError: The limits allow no motion.
+    """
+
+    home: Float[np.ndarray, "nv"]
+    low: Float[np.ndarray, "nv"]
+    high: Float[np.ndarray, "nv"]
+    velocity: Float[np.ndarray, "nv"]
+    torque: Float[np.ndarray, "nv"]
+
+    def __post_init__(self) -> None:
+        for name in ("velocity", "torque"):
+            if not (getattr(self, name) > 0).all():
+                raise ConfigError(f"{name}={_say(getattr(self, name))}: expected above 0; without it nothing moves")
+        if not (self.low < self.high).all():
+            came = f"position=[{_say(self.low)}, {_say(self.high)}]"
+            raise ConfigError(f"{came}: expected two numbers, the smaller first")
+        if not ((self.low < self.home) & (self.home < self.high)).all():
+            raise ConfigError(
+                f"home={_say(self.home)}: expected between {_say(self.low)} and {_say(self.high)}, as position has it"
+            )
+
+    @classmethod
+    def read(cls, nv: int, position: Any, velocity: Any, torque: Any, home: Any = None) -> "Limits":
+        """Read limits from options: a number for all joints or one for each; for positions, a reach or [low, high].
+
+        Raises:
+            ConfigError: A limit is invalid, or the limits allow no motion.
+        """
+        pairs = np.array([_pair(position)] if nv == 1 or not _is_nested(position) else list(map(_pair, position)))
+        if len(pairs) not in (1, nv):
+            raise ConfigError(f"position={position}: {len(pairs)} pairs, expected {nv}, one a joint")
+        low, high = np.broadcast_to(pairs, (nv, 2)).T
+        middle = (low + high) / 2 if home is None else _per_joint("home", home, nv)
+        return cls(middle, low, high, _per_joint("velocity", velocity, nv), _per_joint("torque", torque, nv))
+
+    def within(self, share: float) -> "Limits":
+        """Return the limits reduced to this share, around `home`."""
+        low, high = (self.home + share * (end - self.home) for end in (self.low, self.high))
+        return replace(self, low=low, high=high, velocity=share * self.velocity, torque=share * self.torque)
+
+    def shares(self, xp: Any, command: Any, speed: Any, qpos: Any, qvel: Any, torque: Any) -> Any:
+        """Return the used share of the limit for each of `KINDS`, of shape (5, ..., nv); 1 is the limit.
+
+        Args:
+            xp: Array namespace.
+            command: Commanded position [rad or m], of shape (..., nv).
+            speed: Its derivative [rad/s or m/s].
+            qpos: Position [rad or m].
+            qvel: Velocity [rad/s or m/s].
+            torque: Torque or force of the actuator [N m or N].
+        """
+        wanted, reached = (
+            xp.maximum((x - self.home) / (self.high - self.home), self._below(x)) for x in (command, qpos)
+        )
+        speeds = abs(speed) / self.velocity, abs(qvel) / self.velocity
+        return xp.stack([wanted, speeds[0], reached, speeds[1], abs(torque) / self.torque])
+
+    def _below(self, position: Any) -> Any:
+        return (self.home - position) / (self.home - self.low)
+
+
+class Motion(NamedTuple):
+    """A command and its motion; each of shape (..., samples, nv).
+
+    Attributes:
+        ctrl: Commanded position [rad or m].
+        speed: Its derivative [rad/s or m/s].
+        qpos: Position [rad or m].
+        qvel: Velocity [rad/s or m/s].
+        torque: Torque or force of the actuator from each sample on [N m or N].
+    """
+
+    ctrl: Any
+    speed: Any
+    qpos: Any
+    qvel: Any
+    torque: Any
+
+    def shares(self, xp: Any, limits: Limits) -> Any:
+        """Return the used shares of the limits; see `Limits.shares`."""
+        return limits.shares(xp, *self)
+
+
+def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[str, Any], limits: Limits) -> None:
+    """Refuse a drive that no command can hold at a position, and limits that do not let it rest at `home`.
+
+    Args:
+        bench: The test stand.
+        values: Values of its parameters, by name.
+        inputs: Further inputs of the actuator model, each of shape (nv,).
+        limits: The limits.
+
+    Raises:
+        ConfigError: The command is not a position, or holding the drive takes more than the allowed torque.
+    """
+    still = np.zeros(bench.nv)
+    inputs = {"ctrl_velocity": still, **inputs}
+
+    def torque(qpos: np.ndarray, command: np.ndarray) -> np.ndarray:
+        control = bench.actuator.control(np, values, qpos, still, command, inputs)
+        gain, constant, stiffness, _ = bench.actuator.affine(values)
+        return gain * control + constant + stiffness * qpos
+
+    home, aside = limits.home, limits.home + _MOVED
+    if not (torque(aside, home) < torque(home, home)).all() or not np.allclose(
+        torque(aside, aside), torque(home, home)
+    ):
+        raise ConfigError(
+            f"{type(bench.actuator).__name__}: its command is no position, and nothing would hold the drive within "
+            "its limits; describe the controller that holds it as bench.actuator, PositionPD say"
+        )
+    model = bench.compile(constraint=False)
+    data = mujoco.MjData(model)
+    data.qpos[:] = home
+    mujoco.mj_forward(model, data)
+    needed = np.abs(data.qfrc_bias - data.qfrc_passive)
+    if not (needed < limits.torque).all():
+        joint = int(np.argmax(needed / limits.torque))
+        unit = UNITS[bench.joint_type]
+        raise ConfigError(
+            f"torque={limits.torque[joint]:g}: holding {bench.joints[joint]} at {home[joint]:.4g} {unit['position']} "
+            f"alone takes {needed[joint]:.4g} {unit['torque']}, expected more than that; raise it, or set home"
+        )
+
+
+def _is_nested(given: Any) -> bool:
+    return isinstance(given, list) and all(isinstance(entry, list) for entry in given)
+
+
+def _pair(given: Any) -> tuple[float, float]:
+    try:
+        if isinstance(given, list):
+            low, high = map(float, given)
+        else:
+            low, high = -float(given), float(given)
+    except (TypeError, ValueError):
+        raise ConfigError(f"position={given}: expected a number, or two as in [-1.5,1.8]") from None
+    return low, high
+
+
+def _per_joint(name: str, given: Any, nv: int) -> Float[np.ndarray, "nv"]:
+    try:
+        found = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name}={given}: expected a number, or a list of {nv}, one a joint") from None
+    if found.shape not in ((), (1,), (nv,)) or not np.isfinite(found).all():
+        raise ConfigError(f"{name}={given}: expected a number, or a list of {nv}, one a joint")
+    return np.broadcast_to(found, nv)
+
+
+def _say(values: np.ndarray) -> str:
+    return ", ".join(f"{value:g}" for value in values)

@@ -1,0 +1,435 @@
+"""Cleaning of recordings to logs, which are uniform in time, without gaps and, on request, without spikes.
+
+`Log.repairs` lists each change in a sentence. Clean data stays the same bit for bit. The delay of the command stays,
+because it is a parameter of the fit.
+"""
+
+import contextlib
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy.interpolate
+from jaxtyping import Bool, Float
+
+from frictionzoo.core.described import Described
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import JITTER, Log
+from frictionzoo.data.diagnose import refuse_incomplete
+from frictionzoo.data.recording import COMMANDS, HELD, SIGNALS, Recording
+from frictionzoo.data.signals import (
+    Signal,
+    check_filter,
+    count_spikes,
+    estimate_velocity,
+    find_breaks,
+    find_outliers,
+    find_velocity_lag,
+    repair_spikes,
+)
+from frictionzoo.data.velocity import compare_velocities, find_dead_velocities, of_joints
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "resample": ("linear", "cubic"),
+    "spikes": ("repair", "drop", "keep"),
+    "velocity": ("measured", "estimated", "auto"),
+}
+RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # resampling of these signals
+EXTRAS = tuple(signal for signal in SIGNALS if signal not in ("time", "qpos", "qvel", "ctrl"))
+FOLLOWED = 1e-6  # tolerance of equal times, as a share of the median interval
+MOST_FINER = 1000.0  # largest upsampling factor; more would only add samples
+FEWEST = 50  # fewest intervals that show whether times are rounded
+SEVERAL = 5  # fewest occurrences of each rounded interval; a gap may occur once
+ROUNDED = 0.55  # largest error of a rounded time, as a share of the rounding step
+TIMES_ROUNDED = "times are rounded to"
+"""Beginning of the repair sentence for rounded times."""
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
+
+
+@dataclass(frozen=True)
+class Cleaning(Described):
+    """Options of the cleaning.
+
+    Attributes:
+        step: Sample interval of the logs [s]; None for the recording's interval (the median, if it varies by more than
+            `JITTER`). All recordings of a fit need the same interval.
+        resample: Interpolation of positions, velocities and extra signals: `linear`, or `cubic` splines. The drive's
+            enable signal is held. A command becomes the mean of the held command over each new interval, which neither
+            delays nor advances it.
+        gap: Longest interval, in medians, that does not split a recording. Longer runs of NaN split it too; shorter
+            ones are interpolated.
+        wrap: Period of wrapped positions, which are unwrapped [rad]; None for no change.
+        spikes: Treatment of isolated spikes of one or two samples. `repair` interpolates them in continuous
+            signals and replaces outliers of commands by the previous value; `drop` leaves out recordings with a spike
+            in the position; `keep` keeps them.
+        velocity: `measured`; `estimated` from the position without phase lag; or `auto`: measured and compared with
+            the position, but estimated for joints whose velocity is missing, constant or shows no motion, or is so late
+            or noisy that the estimate is more accurate.
+        cutoff: Cut-off frequency of the velocity estimate [Hz].
+        order: Order of its filter, which runs forwards and backwards.
+        velocity_lag: Lag of the measured velocity behind the position, to be removed [s]; `auto` measures it; None
+            removes nothing.
+        command_lag: Lag of the recorded commands due to the recorder, to be removed [s]; None removes nothing. The
+            bench's `delay` is the delay of a command's effect.
+        shortest: Shortest piece to keep [s].
+
+    Raises:
+        ConfigError: A value is impossible.
+    """
+
+    step: float | None = None
+    resample: str = "linear"
+    gap: float = 5.0
+    wrap: float | None = None
+    spikes: str = "keep"
+    velocity: str = "auto"
+    cutoff: float = 20.0
+    order: int = 2
+    velocity_lag: float | str | None = None
+    command_lag: float | None = None
+    shortest: float = 0.1
+
+    def __post_init__(self) -> None:
+        for option, choices in CHOICES.items():
+            if getattr(self, option) not in choices:
+                value = getattr(self, option)
+                raise ConfigError(f"data.clean.{option}={value}: unknown; {closest(str(value), choices)}")
+        if self.step is not None and not self.step > 0:
+            raise ConfigError(f"data.clean.step={self.step}: expected a positive time in s, or null")
+        if not self.gap >= 1.5:
+            raise ConfigError(f"data.clean.gap={self.gap}: expected at least 1.5 median intervals")
+        if self.wrap is not None and not self.wrap > 0:
+            raise ConfigError(f"data.clean.wrap={self.wrap}: expected a positive angle in rad, or null")
+        check_filter("data.clean", self.cutoff, self.order)
+        if not self.shortest >= 0:
+            raise ConfigError(f"data.clean.shortest={self.shortest}: expected a time in s from 0 on")
+        if isinstance(self.velocity_lag, str) and self.velocity_lag != "auto":
+            raise ConfigError(f"data.clean.velocity_lag={self.velocity_lag}: expected a time in s, auto or null")
+
+
+Signals = Mapping[str, Float[np.ndarray, "time columns"]]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Stretch of a recording during cleaning.
+
+    Attributes:
+        time: Sample times [s].
+        signals: Samples of each signal.
+        repairs: Changes so far, a sentence each.
+        without_velocity: Joints, by number, whose qvel is estimated from qpos.
+    """
+
+    time: Float[np.ndarray, "time"]
+    signals: Signals
+    repairs: tuple[str, ...] = ()
+    without_velocity: tuple[int, ...] = ()
+
+    def say(self, *sentences: str) -> "Piece":
+        """Return the same piece with further repair sentences."""
+        return replace(self, repairs=self.repairs + sentences)
+
+    def keep(self, kept: Bool[np.ndarray, "time"] | slice) -> "Piece":
+        """Return a piece with only the kept samples."""
+        return replace(self, time=self.time[kept], signals={name: v[kept] for name, v in self.signals.items()})
+
+
+def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
+    """Clean a recording to logs, one for each stretch without a gap, in order; empty if all of it is left out.
+
+    Raises:
+        LogError: A signal is missing, a repair is impossible, or the units of velocity and position differ.
+        ConfigError: The cut-off is not below half the sample rate.
+    """
+    refuse_incomplete(recording)
+    whole = _drop_repeated(_even_out(Piece(recording.time, recording.signals, recording.notes)))
+    whole = _drop_velocity(_unwrap(whole, cleaning.wrap), recording.name, cleaning)
+    if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
+        return []
+    pieces = _split(whole, cleaning.gap)
+    long = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
+    if len(long) < len(pieces):
+        short = len(pieces) - len(long)
+        long = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {short}") for piece in long]
+    names = [f"{recording.name}[{i + 1}]" for i in range(len(long))] if len(pieces) > 1 else [recording.name]
+    return [_finish(piece, name, recording, cleaning) for piece, name in zip(long, names, strict=False)]
+
+
+def summarise_repairs(logs: Sequence[Log]) -> list[str]:
+    """Return a line for each kind of repair in many logs, the most frequent first."""
+    kinds = Counter(NUMBER.sub("#", sentence) for log in logs for sentence in log.repairs)
+    examples = {NUMBER.sub("#", sentence): sentence for log in reversed(logs) for sentence in log.repairs}
+    return [f"{count} of {len(logs)} logs: {examples[kind]}" for kind, count in kinds.most_common()]
+
+
+def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -> Log:
+    """Convert a stretch without gaps to a log."""
+    piece = _fill_nan(piece)
+    piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
+    piece = _shift_velocity(piece, name, cleaning)
+    piece = _shift_commands(piece, name, cleaning)
+    piece = _resample(piece, name, cleaning)
+    piece = _choose_velocity(piece, name, cleaning)
+    if piece.time[0] != 0:
+        start = piece.time[0]
+        piece = replace(piece, time=piece.time - start).say(f"time counted from its first sample, at {start:.6g} s")
+    return Log(
+        name,
+        piece.time,
+        piece.signals["qpos"],
+        piece.signals["qvel"],
+        piece.signals["ctrl"],
+        recording.sha256,
+        recording.simulated,
+        extras={extra: piece.signals[extra] for extra in EXTRAS if extra in piece.signals},
+        velocity_estimated=len(piece.without_velocity) == piece.signals["qpos"].shape[1],
+        without_velocity=piece.without_velocity,
+        repairs=piece.repairs,
+        metadata=recording.fields,
+        columns=recording.columns,
+    )
+
+
+def _even_out(piece: Piece) -> Piece:
+    """Restore even times before rounding: two interval lengths, each time at most `ROUNDED` rounding steps off."""
+    steps = np.diff(piece.time)
+    interval = float(piece.time[-1] - piece.time[0]) / max(len(steps), 1)
+    if len(steps) < FEWEST or not interval > 0:
+        return piece
+    apart, often = np.unique(np.round(steps / interval, 4), return_counts=True)
+    if len(apart) != 2 or often.min() < SEVERAL or not apart[1] - apart[0] > JITTER:
+        return piece
+    step, samples = interval * float(apart[1] - apart[0]), np.arange(len(piece.time))
+    slope, start = np.polyfit(samples, piece.time, 1)
+    if np.abs(piece.time - start - slope * samples).max() > ROUNDED * step:
+        return piece
+    said = f"{TIMES_ROUNDED} {step:.4g} s: replaced by even times, {slope:.6g} s apart"
+    return replace(piece, time=start + slope * samples).say(said)
+
+
+def _drop_repeated(piece: Piece) -> Piece:
+    new = np.diff(piece.time, prepend=-np.inf) != 0
+    if new.all():
+        return piece
+    return piece.keep(new).say(f"samples with a repeated time dropped: {(~new).sum()}")
+
+
+def _unwrap(piece: Piece, turn: float | None) -> Piece:
+    if turn is None:
+        return piece
+    qpos = np.unwrap(piece.signals["qpos"], period=turn, axis=0)
+    turned = np.count_nonzero(np.diff(np.round((qpos - piece.signals["qpos"]) / turn), axis=0))
+    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns of the position unwrapped: {turned}")
+
+
+def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """Drop velocities that are to be estimated: 0 for single joints, no qvel if it is to be estimated for all.
+
+    Raises:
+        LogError: With `velocity=measured`, a velocity is missing, constant or shows no motion.
+    """
+    qpos, qvel = piece.signals["qpos"], piece.signals.get("qvel")
+    if qvel is None or cleaning.velocity == "estimated":
+        signals = {signal: values for signal, values in piece.signals.items() if signal != "qvel"}
+        return replace(piece, signals=signals, without_velocity=tuple(range(qpos.shape[1])))
+    dead = find_dead_velocities(piece.time, qpos, qvel, cleaning.gap)
+    if dead and cleaning.velocity == "measured":
+        fault = next(iter(dead.values()))
+        raise LogError(
+            f"{name}: {fault}, expected a measured velocity; name its column in data.columns.qvel, or set "
+            "data.clean.velocity=auto to estimate it"
+        )
+    qvel = np.where(np.isin(np.arange(qvel.shape[1]), list(dead)), 0.0, qvel)
+    signals = {**piece.signals, "qvel": qvel}
+    if len(dead) == qvel.shape[1]:
+        del signals["qvel"]
+    return (
+        replace(piece, signals=signals, without_velocity=tuple(dead)).say("; ".join(dead.values())) if dead else piece
+    )
+
+
+def _split(piece: Piece, gap: float) -> list[Piece]:
+    """Split at gaps, resets of the clock and long runs of NaN."""
+    pieces = _split_at(
+        piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or goes back"
+    )
+    return [part for stretch in pieces for part in _split_at_nan(stretch, gap)]
+
+
+def _split_at(piece: Piece, breaks: Sequence[int] | np.ndarray, sentence: str) -> list[Piece]:
+    if not len(breaks):
+        return [piece]
+    edges = [0, *breaks, len(piece.time)]
+    return [piece.keep(slice(first, last)).say(sentence) for first, last in pairwise(edges)]
+
+
+def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
+    """Cut out runs of NaN that are longer than a gap, or touch an end, where interpolation is impossible."""
+    lost = ~np.all([np.isfinite(values).all(axis=1) for values in piece.signals.values()], axis=0)
+    for first, last in np.flatnonzero(np.diff(lost, prepend=False, append=False)).reshape(-1, 2):
+        ends = first == 0 or last == len(lost)
+        # n missing samples make an interval of n + 1 steps.
+        lost[first:last] = ends or last - first + 1 > gap
+    if not lost.any():
+        return [piece]
+    breaks = np.flatnonzero(np.diff(lost)) + 1
+    parts = _split_at(piece, breaks, f"cut where a signal is NaN for over {gap:g} intervals or at an end")
+    return [part for part, start in zip(parts, (0, *breaks), strict=True) if not lost[start]]
+
+
+def _fill_nan(piece: Piece) -> Piece:
+    """Fill short runs of NaN: held signals keep the last value, the others are interpolated."""
+    filled, sentences = dict(piece.signals), []
+    for name, values in piece.signals.items():
+        bad = ~np.isfinite(values)
+        if bad.any():
+            method = "held" if name in HELD else "linear"
+            pairs = zip(~bad.T, values.T, strict=True)
+            columns = [_sample(column[known], piece.time[known], piece.time, method) for known, column in pairs]
+            filled[name] = np.where(bad, np.stack(columns, axis=1), values)
+            sentences.append(f"NaN samples of {name} interpolated: {bad.any(axis=1).sum()}")
+    return replace(piece, signals=filled).say(*sentences) if sentences else piece
+
+
+def _repair_spikes(piece: Piece) -> Piece:
+    """Interpolate spikes of continuous signals, and replace outliers of held commands by the previous value."""
+    repaired, sentences = dict(piece.signals), []
+    for name, values in piece.signals.items():
+        if name in COMMANDS:
+            far = _each(find_outliers, values)
+            before = np.maximum.accumulate(np.where(far, 0, np.arange(len(values))[:, None]), axis=0)
+            if far.any():
+                repaired[name] = np.take_along_axis(values, before, axis=0)
+                sentences.append(f"outliers of {name} replaced by the previous value: {far.any(axis=1).sum()}")
+        count = 0 if name in HELD else sum(map(count_spikes, values.T))
+        if count:
+            repaired[name] = _each(repair_spikes, values)
+            sentences.append(f"spikes of {name} interpolated: {count}")
+    return replace(piece, signals=repaired).say(*sentences) if sentences else piece
+
+
+def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """Shift the measured velocity earlier by its lag, and cut the end without samples."""
+    if cleaning.velocity_lag is None or cleaning.velocity == "estimated" or "qvel" not in piece.signals:
+        return piece
+    lag = _find_lag(piece, name) if isinstance(cleaning.velocity_lag, str) else float(cleaning.velocity_lag)
+    later = piece.time + lag
+    kept = (later >= piece.time[0]) & (later <= piece.time[-1])
+    if kept.sum() < 2:
+        raise LogError(f"{name}: shorter than data.clean.velocity_lag={lag:g} s; set a smaller one")
+    moved = _each(_sample, piece.signals["qvel"], piece.time, later[kept], cleaning.resample)
+    cut = piece.keep(kept)
+    sentence = f"qvel shifted {lag:.4g} s earlier, {cleaning.resample} between samples"
+    return replace(cut, signals={**cut.signals, "qvel": moved}).say(sentence)
+
+
+def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """Shift the commands earlier by their lag, and cut the end without samples."""
+    if cleaning.command_lag is None:
+        return piece
+    later = piece.time + cleaning.command_lag
+    kept = (later >= piece.time[0]) & (later <= piece.time[-1])
+    if kept.sum() < 2:
+        raise LogError(f"{name}: shorter than data.clean.command_lag={cleaning.command_lag:g} s; set a smaller one")
+    commands = [signal for signal in COMMANDS if signal in piece.signals]
+    cut = piece.keep(kept)
+    moved = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], "held") for signal in commands}
+    sentence = f"{', '.join(commands)} shifted {cleaning.command_lag:.4g} s earlier"
+    return replace(cut, signals={**cut.signals, **moved}).say(sentence)
+
+
+def _find_lag(piece: Piece, name: str) -> float:
+    """Return the lag of the measured velocity, median over the joints [s]."""
+    qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
+    found = [find_velocity_lag(piece.time, repair_spikes(q), v) for q, v in zip(qpos.T, qvel.T, strict=True)]
+    lags = [lag[0] for lag in found if lag is not None]
+    if not lags:
+        raise LogError(
+            f"{name}: qvel does not match a delayed derivative of the position, expected for "
+            "data.clean.velocity_lag=auto; give the lag in s or set data.clean.velocity=estimated"
+        )
+    return float(np.median(lags))
+
+
+def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """Resample to a uniform grid of `step`, or of the median interval if the clock varies too much."""
+    steps = np.diff(piece.time)
+    interval = float(np.median(steps))
+    uniform = bool((np.abs(steps / interval - 1) <= JITTER).all())
+    mean = float(piece.time[-1] - piece.time[0]) / len(steps)
+    if uniform and (cleaning.step is None or abs(cleaning.step / mean - 1) <= FOLLOWED):
+        return piece
+    step = interval if cleaning.step is None else cleaning.step
+    if step < interval / MOST_FINER:
+        raise ConfigError(
+            f"data.clean.step={step:g}: expected at least {interval / MOST_FINER:g} s, because {name} has a sample "
+            f"every {interval:g} s"
+        )
+    samples = int((piece.time[-1] - piece.time[0]) / step + FOLLOWED) + 1
+    if samples < 2:
+        raise LogError(f"{name}: shorter than data.clean.step={step:g} s; set a smaller one, or omit it")
+    grid = piece.time[0] + step * np.arange(samples)
+    signals = {
+        name: _each(_sample, values, piece.time, grid, RESAMPLED.get(name, cleaning.resample))
+        for name, values in piece.signals.items()
+    }
+    missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
+    rates = f"from about {1 / interval:.4g} to {1 / step:.4g} samples/s"
+    commands = ", ".join(name for name in COMMANDS if name in signals)
+    sentence = f"resampled {rates}, {cleaning.resample}; {commands}: mean of the held command"
+    if missing:
+        sentence += f"; missing samples interpolated: {missing}"
+    return replace(piece, time=grid, signals=signals).say(sentence)
+
+
+def _each(change: Callable[..., np.ndarray], values: Float[np.ndarray, "time columns"], *more: Any) -> np.ndarray:
+    """Apply a function to each column."""
+    return np.stack([change(column, *more) for column in values.T], axis=1)
+
+
+def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method: str) -> Float[np.ndarray, "grid"]:
+    """Resample a signal at other times."""
+    if method == "held":
+        close = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        return values[np.maximum(np.searchsorted(time, at + close, side="right") - 1, 0)]
+    if method == "cubic" and len(time) > 3:
+        return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
+    if method == "mean":  # of the held signal over each interval of the uniform grid
+        step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
+        ends = np.append(time, time[-1] + step)
+        integral = np.append(0.0, np.cumsum(values * np.diff(ends)))
+        return np.diff(np.interp(np.append(at, at[-1] + step), ends, integral)) / step
+    return np.interp(at, time, values)
+
+
+def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """Estimate velocities that are missing or less accurate than the estimate; compare the others with the position."""
+    if cleaning.velocity == "measured" and "qvel" not in piece.signals:
+        raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
+    timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
+    cutoff, order, qpos = cleaning.cutoff, cleaning.order, piece.signals["qpos"]
+
+    def estimate() -> np.ndarray:
+        return _each(estimate_velocity, qpos, timestep, cutoff, order, name, "data.clean.cutoff")
+
+    estimates = None
+    if "qvel" in piece.signals and cleaning.velocity == "auto":
+        with contextlib.suppress(LogError, ConfigError):  # a recording without an estimate keeps the measured velocity
+            estimates = estimate()
+        joints = sorted({*range(qpos.shape[1])} - {*piece.without_velocity})
+        said, worse = compare_velocities(name, piece.time, qpos, piece.signals["qvel"], joints, estimates)
+        piece = replace(piece, without_velocity=tuple(sorted({*piece.without_velocity, *worse}))).say(*said)
+    if not piece.without_velocity:
+        return piece
+    lacking = list(piece.without_velocity)
+    qvel = piece.signals.get("qvel", np.empty_like(qpos)).copy()
+    qvel[:, lacking] = (estimate() if estimates is None else estimates)[:, lacking]
+    how = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
+    return replace(piece, signals={**piece.signals, "qvel": qvel}).say(
+        f"qvel{of_joints(lacking, qpos)} estimated from qpos: {how}"
+    )

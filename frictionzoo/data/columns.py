@@ -1,0 +1,209 @@
+"""Conversion of a file's columns to signals in SI units at common times."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Real
+
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import Columns
+from frictionzoo.data.propose import BAM, Proposal, propose
+from frictionzoo.data.recording import HELD, SIGNALS, Recording, Table
+from frictionzoo.data.units import ratio, to_si
+
+__all__ = ["Proposal", "list_names", "pick", "propose", "to_recording"]
+
+NEEDED = ("time", "qpos", "ctrl")
+LARGEST = 1e9  # largest plausible value of any signal; damaged numbers usually exceed it
+LONGEST = 1e12  # s; thirty thousand years
+STEPS = (5e-6, 100.0)  # s between samples; refuses 0.2 s read in days (below) and 1 ms read in us or ns (above)
+Headers = dict[str, tuple[str, ...]]
+
+
+def to_recording(
+    table: Table,
+    columns: Mapping[str, Any],
+    units: Mapping[str, str],
+    simulated: bool | None,
+    listed: Collection[str] = (),
+) -> Recording:
+    """Convert a table to a recording with signals in SI units at the times of `qpos`.
+
+    Time starts at 0. Signals recorded at other times are resampled to those of `qpos`: commands and `enable` are held
+    until the next sample, and their first value also holds before it; measurements are interpolated. Missing, repeated
+    or disordered samples stay for cleaning.
+
+    Args:
+        table: Contents of a file.
+        columns: Header, or list of headers, of each signal. If `time`, `qpos` or `ctrl` is missing here and in the
+            table's times, all columns are inferred from unambiguous names.
+        units: Unit of each signal; the default is the format's unit, otherwise SI.
+        simulated: Whether a simulator made it; None: not stated.
+        listed: Signals whose headers a user listed.
+
+    Raises:
+        ConfigError: A signal or unit is unknown, or headers are not a list of names.
+        LogError: A column is missing, contains no numbers or differs in length from its time, a sample is absurdly
+            large, a separate time column runs backwards, or the names are ambiguous.
+    """
+    _refuse_unread(table, columns)
+    headers = _complete(table, _check(columns))
+    clock = _Clock(table, headers["time"][0], units)
+    signals = {
+        signal: np.stack([clock.bring(signal, header) for header in headers[signal]], axis=1)
+        for signal in SIGNALS
+        if signal != "time" and signal in headers
+    }
+    _refuse_absurd(table.name, "time", headers["time"], clock.time[:, None], LONGEST)
+    for signal, values in signals.items():
+        _refuse_absurd(table.name, signal, headers[signal], values, LARGEST)
+    notes = tuple(dict.fromkeys(clock.notes))
+    came = {signal: Columns(headers[signal], signal in listed) for signal in signals}
+    return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes, came)
+
+
+def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
+    """Refuse an unusable column with the name of a signal by a LogError; otherwise another column would replace it."""
+    for signal in SIGNALS:
+        for header in (signal, BAM.get(signal, signal)):
+            if header in table.refused and columns.get(signal) is None and signal not in table.columns:
+                without = "" if signal in NEEDED else ", to [] to omit it"
+                raise LogError(f"{table.refused[header]}; or set data.columns.{signal}{without}")
+
+
+def _refuse_absurd(
+    name: str, signal: str, headers: Sequence[str], values: Float[np.ndarray, "time columns"], largest: float
+) -> None:
+    """Refuse samples above the largest plausible value with a LogError; NaN is a missing sample."""
+    absurd = np.abs(values) > largest
+    if absurd.any():
+        sample, column = np.argwhere(absurd)[0].tolist()
+        raise LogError(
+            f"{name}: {signal} ({headers[column]}) is {values[sample, column]:.6g} in SI units at sample {sample}, "
+            f"expected at most {largest:g}; take the sample out or set data.units.{signal}"
+        )
+
+
+def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:
+    """Return a column; LogError if it is missing or contains no numbers."""
+    if header in table.refused:
+        raise LogError(table.refused[header])
+    if header not in table.columns:
+        came = [name for name in (*table.columns, *table.refused) if name]
+        raise LogError(f"{table.name}: no column {header}; {closest(header, came)}; rename it or set data.columns")
+    return table.columns[header]
+
+
+def _check(columns: Mapping[str, Any]) -> Headers:
+    """Return the headers of the given signals as tuples."""
+    for key in set(columns) - set(SIGNALS):
+        raise ConfigError(f"data.columns.{key}: unknown signal; {closest(str(key), SIGNALS)}")
+    headers = {key: list_names(f"columns.{key}", given) for key, given in columns.items() if given is not None}
+    if len(headers.get("time", ())) > 1:
+        raise ConfigError(f"data.columns.time={list(headers['time'])}: expected one header")
+    return {key: names for key, names in headers.items() if names}
+
+
+def list_names(option: str, given: Any) -> tuple[str, ...]:
+    """Return an option of `data`, a name or a list of names, as a tuple; ConfigError if it is neither."""
+    if isinstance(given, str):
+        return (given,)
+    if not isinstance(given, Sequence):
+        raise ConfigError(f"data.{option}={given}: expected a list of names, as in [a, b]")
+    return tuple(str(name) for name in given)
+
+
+def _complete(table: Table, headers: Headers) -> Headers:
+    """Add missing required headers from the table's times, or from unambiguous names."""
+    if "time" not in headers and headers.get("qpos", ("",))[0] in table.times:
+        headers = {**headers, "time": (table.times[headers["qpos"][0]],)}
+    missing = [signal for signal in NEEDED if signal not in headers]
+    if not missing:
+        return headers
+    proposal = propose(table)
+    if proposal.certain:
+        return {**proposal.columns, **headers}
+    found = " ".join(proposal.overrides())
+    came = ", ".join(list(table.columns)[:20]) or "none"
+    left = f"; no numbers in {', '.join(list(table.refused)[:20])}" if table.refused else ""
+    raise LogError(
+        f"{table.name}: data.columns.{missing[0]} is missing; "
+        + (f"perhaps {found}; " if found else "")
+        + f"its columns are {came}{left}"
+    )
+
+
+class _Clock:
+    """Times of `qpos`, and the resampling of other signals to these times."""
+
+    def __init__(self, table: Table, header: str, units: Mapping[str, str]) -> None:
+        self.table, self.header, self.units = table, header, units
+        self.notes: list[str] = []
+        ticks = pick(table, header)
+        self.start = next(iter(ticks[np.isfinite(ticks)]), 0.0)
+        self.time = self._seconds(header)
+        _check_clock(table.name, header, ticks, self.time)
+
+    def bring(self, signal: str, header: str) -> Float[np.ndarray, "time"]:
+        """Convert a signal to SI units at the times of `qpos`."""
+        values = to_si(pick(self.table, header), self._ratio(signal, header))
+        own = self.table.times.get(header, self.header)
+        times = self._seconds(own)
+        name = self.table.name
+        if len(values) != len(times):
+            raise LogError(f"{name}: {header} has {len(values)} samples and {own} {len(times)}, expected as many")
+        if own == self.header or np.array_equal(times, self.time):
+            return values
+        if not len(times):
+            raise LogError(f"{name}: {header} has no samples; record it, or name another column")
+        back = np.flatnonzero(np.diff(times) < 0)
+        if len(back):
+            raise LogError(
+                f"{name}: {own} runs backwards at sample {back[0] + 1} ({times[back[0]]:.6g} s, then "
+                f"{times[back[0] + 1]:.6g} s); expected increasing times of {header}, to interpolate it at the "
+                "times of qpos; cut the recording there, or write its messages in order"
+            )
+        held = signal in HELD
+        self.notes.append(
+            f"{signal} {'held' if held else 'interpolated linearly'} from {len(times)} samples to the "
+            f"{len(self.time)} times of qpos"
+        )
+        if held:  # last value at or before each time; before the first sample, the first value
+            return values[np.maximum(np.searchsorted(times, self.time, side="right") - 1, 0)]
+        return np.interp(self.time, times, values)
+
+    def _seconds(self, header: str) -> Float[np.ndarray, "rows"]:
+        """Return a time column in seconds since the first sample of `qpos`; whole numbers are subtracted exactly."""
+        ticks = pick(self.table, header)
+        with np.errstate(over="ignore"):  # `to_recording` refuses absurd times
+            since = ticks - self.start
+        return to_si(since, self._ratio("time", header))
+
+    def _ratio(self, signal: str, header: str) -> tuple[float, float]:
+        given = self.units.get(signal) or self.table.units.get(header)
+        return ratio(signal, str(given)) if given else (1.0, 1.0)
+
+
+def _check_clock(name: str, header: str, ticks: Real[np.ndarray, "time"], time: Float[np.ndarray, "time"]) -> None:
+    """Refuse a date written as one whole number (20240131235959), or a time in another unit, with a LogError."""
+    known = np.isfinite(ticks)
+    if known.sum() < 2:
+        return
+    ticks, time = ticks[known], time[known]
+    day, clock = np.divmod(ticks, 10**6) if (ticks > 10**13).all() else (ticks, np.zeros(1))
+    digits = (
+        *((day // 10**4, 1900, 2099), (day // 100 % 100, 1, 12), (day % 100, 1, 31)),
+        *((clock // 10**4, 0, 23), (clock // 100 % 100, 0, 59), (clock % 100, 0, 59)),
+    )
+    if all(((low <= value) & (value <= high)).all() for value, low, high in digits):
+        raise LogError(
+            f"{name}: {header} is a date ({int(ticks[0])}), expected a time that counts; write it in seconds"
+        )
+    steps = np.diff(time)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else STEPS[0]
+    if not STEPS[0] <= step <= STEPS[1]:
+        raise LogError(
+            f"{name}: {header} advances by {step:.3g} s from sample to sample, expected {STEPS[0]:g} to "
+            f"{STEPS[1]:g} s; set data.units.time, such as ns, or 86400 where it counts days"
+        )

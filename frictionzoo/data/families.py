@@ -1,0 +1,177 @@
+"""Families of headers that name the same signal, one header a joint, and the choice of one family a signal."""
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from frictionzoo.core.errors import LogError
+from frictionzoo.data.pairing import Named, find_name, pair
+from frictionzoo.data.recording import SIGNALS, Table
+from frictionzoo.data.words import MEASURED, POSITION, TORQUE, find_signal, list_words, split
+
+OTHER_TORQUE = frozenset(("ext", "external", "gravity", "friction", "model", "limit", "max", "min", "error"))
+BESIDE = ("ctrl_velocity", "ctrl_torque", "kp", "kd", "torque")  # optional signals that few recordings have
+
+Families = dict[tuple[int, str], list[str]]
+"""Headers that differ only in the joint, by rank (lower is clearer) and by stem, the common part of the headers."""
+
+
+def find_columns(
+    table: Table, joints: Sequence[str], said: Collection[str]
+) -> tuple[dict[str, tuple[str, ...]], list[str]]:
+    """Find the headers of each signal, in the table's order, and a sentence on each.
+
+    Args:
+        table: Contents of a file.
+        joints: Names of the joints whose columns are wanted; empty if unknown.
+        said: Signals whose columns a user set.
+
+    Raises:
+        LogError: Headers of a signal not in `said` name only some of the joints, or a joint twice.
+    """
+    columns, reasons = {}, []
+    names = {header: name for header in table.columns if (name := find_name(header, tuple(joints)))}
+    families = _families(table, names)
+    for signal in SIGNALS:
+        found = families.get(signal)
+        if found:
+            try:
+                headers = tuple(_choose(table, signal, found, names, joints))
+            except LogError:
+                if signal in said:
+                    continue
+                raise
+            if signal in BESIDE and len(headers) not in (1, len(joints) or len(columns.get("qpos", ()))):
+                continue
+            columns[signal] = headers
+            others = [other[0] for other in found.values() if not {*other} & {*headers}]
+            also = f"; also possible: {', '.join(others)}" if others else ""
+            reasons.append(f"{signal}: {', '.join(headers)}, by name{also}")
+    own = table.times.get(columns.get("qpos", ("",))[0])
+    return ({**columns, "time": (own,)} if own else columns), reasons
+
+
+def _choose(
+    table: Table, signal: str, found: Families, names: Mapping[str, Named], joints: Sequence[str]
+) -> Sequence[str]:
+    """Return the headers of a signal: those with joint names if there are any, otherwise the family of lowest rank."""
+    best = found[min(found, key=lambda key: key[0])]
+    if signal == "time" or best[0] not in names:
+        return best[:1] if signal == "time" else best
+    everyone = list(range(len(joints)))
+    complete = [headers for headers in found.values() if sorted(names[header].joint for header in headers) == everyone]
+    if len(complete) == 1:
+        return complete[0]
+    every = sorted((header for headers in found.values() for header in headers), key=list(table.columns).index)
+    try:
+        pair(every, joints)
+    except LogError as error:
+        option = f"data.columns.{signal}"
+        needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
+        raise LogError(f"{table.name}: {signal} {error}; set {option} to the columns{needed}") from None
+    return every
+
+
+def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
+    """Return the candidate families of each signal."""
+    families: dict[str, Families] = {}
+    joints = {} if names else _find_joints(table)
+    for header in sorted(table.columns, key=lambda header: joints.get(header, ("", 0))[1]):
+        if header in names:
+            stem, words = names[header].stem, names[header].words
+        elif header in joints:
+            stem, words = joints[header][0], list_words(split(joints[header][0]))
+        else:  # joints differ in the text in brackets, or in a number
+            stem, words = re.sub(r"\[[^]]*\]|\d+", "#", header), list_words(split(header))
+        if header not in table.times.values() and (role := find_signal(words)):
+            signal, rank = role
+            families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
+    families = {signal: _prefer_named(found, names) for signal, found in families.items()}
+    efforts = families.pop("effort", {})
+    families |= {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in ("kp", "kd")}
+    if "ctrl" not in families:  # a drive with a velocity or torque command, or a torque as the only input
+        commands = families.pop("ctrl_velocity", {}) | families.pop("ctrl_torque", {}) | efforts
+        return families | ({"ctrl": commands} if commands else {})
+    usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
+    usable["torque"] = _keep_usable(table, "torque", _pick_torque(efforts))
+    return {**families, "ctrl": _prefer_moving(table, families["ctrl"]), **usable}
+
+
+def _prefer_named(found: Families, names: Mapping[str, Named]) -> Families:
+    """Return the families with joint names, or all if there are none: the others belong to other joints."""
+    return {key: headers for key, headers in found.items() if headers[0] in names} or found
+
+
+def _prefer_moving(table: Table, found: Families) -> Families:
+    """Return the commands that change, or all if none does: the drive does not follow a constant one."""
+    moving = {key: headers for key, headers in found.items() if any(_moves(table.columns[h]) for h in headers)}
+    return moving or found
+
+
+def _moves(values: np.ndarray) -> bool:
+    finite = values[np.isfinite(values)]
+    return len(finite) > 0 and bool((finite != finite[0]).any())
+
+
+def _keep_usable(table: Table, signal: str, found: Families) -> Families:
+    return {key: headers for key, headers in found.items() if is_usable(table, signal, headers)}
+
+
+def is_usable(table: Table, signal: str, headers: Sequence[str]) -> bool:
+    """Return whether an optional signal has samples; a torque must be complete, or cleaning would drop samples."""
+    finite = [np.isfinite(table.columns[header]) for header in headers]
+    if signal not in BESIDE:
+        return True
+    # A single value is no sampled gain.
+    sampled = all(len(of) > 1 for of in finite)
+    return sampled and all(of.all() if signal == "torque" else of.any() for of in finite)
+
+
+def _pick_torque(efforts: Families) -> Families:
+    """Return the family that is certainly the measured joint torque; empty in case of doubt."""
+    words = {key: {*list_words(split(key[1]))} for key in efforts}
+    found = {key: headers for key, headers in efforts.items() if TORQUE & words[key] and not OTHER_TORQUE & words[key]}
+    plain = {key: headers for key, headers in found.items() if MEASURED & words[key]}
+    return found if len(found) == 1 else plain if len(plain) == 1 else {}
+
+
+def _find_joints(table: Table) -> dict[str, tuple[str, int]]:
+    """Return the stem of headers with a joint's name, and the joint's number in the order of qpos.
+
+    A joint's name is the part that position and command headers share: FL_hip in qpos_FL_hip and ctrl_FL_hip.
+    """
+    best: dict[str, tuple[str, int]] = {}
+    for names in _candidates(table).values():
+        shared = [_stems(table, name) for name in names]
+        stems = set.intersection(*map(set, shared))
+        told = {role[0] for role in map(_find_role, stems) if role}
+        if told & {"ctrl", "ctrl_velocity", "ctrl_torque", "effort"} and len(names) > 1:
+            found = {of[stem]: (stem, number) for number, of in enumerate(shared) for stem in stems}
+            best = found if len(found) > len(best) else best
+    return best
+
+
+def _candidates(table: Table) -> dict[str, list[str]]:
+    """Return possible joint names, the text before or after a position word, by the rest of the header."""
+    names: dict[str, list[str]] = {}
+    positions = POSITION.split()
+    for header in table.columns:
+        role = _find_role(header)
+        for word in re.finditer(r"[A-Za-z]+", header) if role and role[0] == "qpos" else ():
+            if word.group().lower() in positions:
+                for part in (header[: word.start()], header[word.end() :]):
+                    name = part.strip("_ ./-")
+                    if re.fullmatch(r"[\w.-]*[A-Za-z][\w.-]*", name):
+                        names.setdefault(header.replace(name, "*", 1), []).append(name)
+    return names
+
+
+def _stems(table: Table, name: str) -> dict[str, str]:
+    """Return the headers that contain this name, by stem."""
+    place = re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])")
+    return {place.sub("*", header, count=1): header for header in table.columns if place.search(header)}
+
+
+def _find_role(header: str) -> tuple[str, int] | None:
+    return find_signal(list_words(split(header)))

@@ -1,0 +1,276 @@
+"""Data set from a user's files of any format."""
+
+import copy
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.core.described import describe
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import ORIGINS, Columns, Dataset, Log, Payload
+from frictionzoo.data.clean import Cleaning, clean, summarise_repairs
+from frictionzoo.data.columns import Proposal, list_names, propose, to_recording
+from frictionzoo.data.formats import find_files, format_names, read_tables
+from frictionzoo.data.logs import InMemory, Logs
+from frictionzoo.data.pairing import arrange, has_names, reorder, say_order
+from frictionzoo.data.recording import SIGNALS, TURNED, Recording, Table
+from frictionzoo.data.select import Selection, choose_payloads
+from frictionzoo.data.source import Source, register_source
+from frictionzoo.data.split import Split
+from frictionzoo.data.units import ratio
+
+UPRIGHT: Mapping[str, int] = dict.fromkeys(TURNED, 1)
+"""Default signs, which turn no signal."""
+AS_IT_IS = Cleaning()
+"""Default cleaning."""
+_log = logging.getLogger(__name__)
+
+
+@register_source("files")
+class Files(Source):
+    """Data set from files: separate training and test files, or a division by time, by file or by a field.
+
+    `conf/recordings/files.yaml` describes each argument under the same name.
+
+    Raises:
+        ConfigError: An option is unknown or impossible.
+    """
+
+    def __init__(
+        self,
+        name: str = "files",
+        train: Any = (),
+        test: Any = (),
+        folder: str | None = None,
+        source: str | None = None,
+        format: str = "auto",
+        columns: Mapping[str, Any] | None = None,
+        units: Mapping[str, str | None] | None = None,
+        sign: Mapping[str, int | Sequence[int]] = UPRIGHT,
+        fields: Any = None,
+        fields_from_name: str | None = None,
+        where: Any = None,
+        exclude: Any = None,
+        clean: Cleaning = AS_IT_IS,
+        payload: Sequence[Any] = (),
+        inputs: Any = None,
+        split: Mapping[str, Any] | None = None,
+        origin: str | None = None,
+    ) -> None:
+        if format not in ("auto", *format_names()):
+            raise ConfigError(f"data.format={format}: no such format; {closest(format, ('auto', *format_names()))}")
+        if origin not in ORIGINS:
+            raise ConfigError(f"data.origin={origin}: unknown; {closest(str(origin), filter(None, ORIGINS))}, or null")
+        self.name, self.folder, self.source, self.format = name, folder, source, format
+        self.train, self.test = (
+            [] if given in (None, "") else list(list_names(option, given))
+            for option, given in (("train", train), ("test", test))
+        )
+        self.columns = {s: list_names(f"columns.{s}", given) for s, given in _signals("columns", columns).items()}
+        self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
+        self.sign = _signs(sign)
+        for signal, unit in self.units.items():
+            ratio(signal, unit)  # refuses an unknown unit, even of a signal that no file has
+        fields, where, exclude = (
+            _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
+        )
+        self.selection = Selection(fields, fields_from_name, where, exclude)
+        self.inputs = _mapping("inputs", inputs)
+        self.clean, self.payload, self.simulated = clean, payload, ORIGINS[origin]
+        self.joints: tuple[str, ...] = ()
+        self.split = Split(**(split or {}))
+        if self.test and self.split.by != "time":
+            raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
+
+    def find(self) -> None:
+        """Check that the files exist, see `Source.find`."""
+        for names in filter(None, (self.train, self.test)):
+            find_files(names, self.folder, self.source)
+
+    def for_joints(self, joints: Sequence[str]) -> "Files":
+        """Return the same source for these joints, see `Source.for_joints`."""
+        other = copy.copy(self)
+        other.joints = tuple(joints)
+        return other
+
+    def recordings(self) -> list[Recording]:
+        """Return all recordings before cleaning, test-only recordings last.
+
+        Raises:
+            LogError: A file cannot be read or lacks a column that `columns` names, or no recording is kept.
+        """
+        train, test = self._interpret_all()
+        return train + test
+
+    def load(self) -> Dataset:
+        """Load, clean and divide the recordings; see `read` and `Logs.divide` for errors."""
+        return self.read().divide()
+
+    def read(self, tables: Sequence[Table] = ()) -> Logs:
+        """Read and clean the recordings without dividing them.
+
+        Args:
+            tables: Further training recordings from memory.
+
+        Raises:
+            LogError: A file cannot be read or lacks a column that `columns` names, or cleaning leaves no log.
+            ConfigError: A payload is invalid, or a recording matches no payload.
+        """
+        train, test = self._interpret_all(tables)
+        recordings = train + test
+        payloads = choose_payloads(self.payload, recordings)
+        cleaned = tuple(tuple(self._clean(*pair)) for pair in zip(recordings, payloads, strict=True))
+        self._report(recordings, cleaned)
+        section = describe(self) | {"train": [*self.train, *(table.name for table in tables)]}
+        if tables:
+            section |= describe(InMemory([table.name for table in tables]))
+        return Logs(self.name, tuple(recordings), cleaned, len(test), self.split, section)
+
+    def _interpret_all(self, tables: Sequence[Table] = ()) -> tuple[list[Recording], list[Recording]]:
+        """Return the recordings for training and the test-only recordings."""
+        if not self.train and not tables:
+            raise LogError("data.train=[]: no recording; name files, as in data.train=[a.csv] data.test=[b.csv]")
+        train, test = [*self._tables(self.train), *tables], self._tables(self.test)
+        held_out = {table.name for table in test}
+        twice = [table.name for table in train if table.name in held_out]
+        if twice:
+            raise LogError(f"{twice[0]}: in data.train and in data.test; expected test recordings that do not train")
+        recordings = self._interpret(self.selection.keep(train + test))
+        first = [recording for recording in recordings if recording.name not in held_out]
+        last = [recording for recording in recordings if recording.name in held_out]
+        if not first or (held_out and not last):
+            part = "test" if first else "train"
+            raise LogError(f"{self.name}: data.where and data.exclude leave no recording to {part}")
+        return first, last
+
+    def _tables(self, names: Sequence[str]) -> list[Table]:
+        """Read the tables of the named files, each recording once."""
+        paths = find_files(names, self.folder, self.source) if names else []
+        tables = [table for path in paths for table in read_tables(path, self.format)]
+        return list({table.name: table for table in tables}.values())
+
+    def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
+        """Convert tables to recordings; missing options are inferred once for all tables with the same headers."""
+        said: dict[frozenset[str], tuple[dict[str, Any], dict[str, str]]] = {}
+        for table in tables:
+            headers = frozenset(table.columns)
+            if headers not in said:
+                said[headers] = self._complete(table)
+        found = [to_recording(table, *said[frozenset(table.columns)], self.simulated, self.columns) for table in tables]
+        turned = [
+            replace(each, signals={signal: self._turn(each, signal) for signal in each.signals}) for each in found
+        ]
+        return self._arrange(turned) if self.joints else turned
+
+    def _turn(self, recording: Recording, signal: str) -> np.ndarray:
+        """Return a signal times its sign, or each column times its sign from a list."""
+        sign, values = self.sign.get(signal, 1), recording.signals[signal]
+        if isinstance(sign, list | tuple):
+            came, columns = f"data.sign.{signal}={list(sign)}", recording.columns[signal]
+            if len(sign) != values.shape[1]:
+                expected = f"expected {values.shape[1]}, one a column"
+                raise ConfigError(f"{came}: {len(sign)} signs, {expected} of {recording.name}")
+            if not columns.listed and has_names(columns.headers):
+                raise ConfigError(
+                    f"{came}: one sign a column, and the columns of {recording.name} are found by their names; set "
+                    f"data.columns.{signal} to them in the order of the signs"
+                )
+        return np.asarray(sign) * values
+
+    def _arrange(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Sort the columns of each recording by joint."""
+        arranged, lines = [], []
+        for each in recordings:
+            found = arrange(each.name, each.columns, self.joints)
+            lines += say_order(each.columns, found)
+            signals = {signal: each.signals[signal][:, list(order)] for signal, (order, _) in found.items()}
+            arranged.append(replace(each, signals=signals, columns=reorder(each.columns, found)))
+        for line in dict.fromkeys(lines):
+            _log.info("%s: %s", self.name, line)
+        return arranged
+
+    def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return columns and units; those missing in the options are inferred."""
+        proposal = propose(table, self.joints, self.columns)
+        columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
+        # An inferred unit holds only for the inferred headers, which the options may name too.
+        seen = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
+        units = {signal: unit for signal, unit in proposal.units.items() if signal in seen - set(self.units)}
+        own = all(headers == (signal,) for signal, headers in columns.items())
+        if not own or units:
+            level = logging.INFO if proposal.certain else logging.WARNING
+            came = {signal: Columns(headers) for signal, headers in columns.items()}
+            if self.joints:
+                came = reorder(came, arrange(table.name, came, self.joints))
+            taken = " ".join(Proposal({signal: of.headers for signal, of in came.items()}, units).overrides())
+            _log.log(level, "%s: inferred from names and numbers in %s: %s", self.name, table.name, taken)
+        return {**columns, **self.columns}, {**units, **self.units}
+
+    def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
+        """Clean a recording to logs, and add its payload and the inputs of the actuator law."""
+        logs = []
+        for log in clean(recording, self.clean):
+            constants = {
+                name: np.full((log.samples, 1), _constant(recording, name, given))
+                for name, given in self.inputs.items()
+            }
+            more = {"payload": payload, "extras": {**log.extras, **constants}, "metadata": recording.fields}
+            logs.append(replace(log, **more, units=self.units))
+        return logs
+
+    def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
+        """Log one line on the cleaning of the data set; LogError if no log remains."""
+        kept = [log for cleaned in logs for log in cleaned]
+        lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
+        if not kept:
+            raise LogError(
+                f"{lost[0]}: cleaning leaves nothing of it, nor of {len(lost) - 1} others; expected "
+                f"{self.clean.shortest:g} s (data.clean.shortest) without gaps and NaN, and no spikes with "
+                "data.clean.spikes=drop; check the file or change data.clean"
+            )
+        told = [f"{len(lost)} left out by data.clean, such as {lost[0]}"] if lost else []
+        told += summarise_repairs(kept)
+        if told:
+            counts = len(recordings), len(kept)
+            _log.info("%s: recordings read: %d; logs: %d; %s", self.name, *counts, "; ".join(told))
+
+
+def _constant(recording: Recording, name: str, given: str | float) -> float:
+    """Return the value of an input, a number or the name of a field."""
+    if not isinstance(given, str):
+        return float(given)
+    if given not in recording.fields:
+        raise LogError(
+            f"{recording.name}: data.inputs.{name}={given}: no such field; {closest(given, map(str, recording.fields))}"
+        )
+    value = recording.fields[given]
+    if isinstance(value, str) or not np.isfinite(value):
+        raise LogError(f"{recording.name}: data.inputs.{name}: its field {given} is {value}, expected a number")
+    return float(value)
+
+
+def _mapping(option: str, given: Any) -> dict[str, Any]:
+    if given is not None and not isinstance(given, Mapping):
+        raise ConfigError(f"data.{option}={given}: expected names with values, as in {{kp: 16}}")
+    return dict(given or {})
+
+
+def _signs(given: Mapping[str, Any]) -> dict[str, Any]:
+    for signal, sign in given.items():
+        if signal not in TURNED:
+            raise ConfigError(f"data.sign.{signal}: unknown signal; {closest(str(signal), TURNED)}")
+        if not all(one in (1, -1) for one in (sign if isinstance(sign, list | tuple) else [sign])):
+            raise ConfigError(f"data.sign.{signal}={sign}: expected 1 or -1, or a list of them, one a column")
+    return dict(given)
+
+
+def _signals(option: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the options of signals without those that are None."""
+    given = given or {}
+    for signal in given:
+        if signal not in SIGNALS:
+            raise ConfigError(f"data.{option}.{signal}: unknown signal; {closest(str(signal), SIGNALS)}")
+    return {signal: value for signal, value in given.items() if value is not None}

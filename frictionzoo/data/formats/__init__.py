@@ -1,0 +1,92 @@
+"""File formats of recordings, one module each; the registry imports the modules of this folder."""
+
+import glob
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.core.errors import LogError
+from frictionzoo.data.formats.base import Format, format_names, get_format, parsing, register_format
+from frictionzoo.data.recording import Table
+
+__all__ = ["Format", "find_files", "format_names", "get_format", "read_tables", "register_format"]
+
+
+def find_files(names: Sequence[str], folder: str | None, source: str | None) -> list[str]:
+    """Find the named files, each once, in the given order; files of a glob or folder are sorted by name.
+
+    Args:
+        names: Paths of files or folders, or globs, in which `**` means any depth.
+        folder: Folder of relative paths; None for the working directory.
+        source: Where to obtain files that the package does not contain; None for a user's own files.
+
+    Raises:
+        LogError: A path matches no file.
+    """
+    obtain = "set FRICTIONZOO_DATA or data.folder to the folder that holds {} (from {})".format
+    if source is not None and folder is None:
+        raise LogError(f"data.folder=null: the recordings are not part of the package; {obtain(names[0], source)}")
+    found = []
+    for name in names:
+        path = Path(folder or "").expanduser() / Path(name).expanduser()
+        files = _expand(path)
+        if not files:
+            came = "no file in this folder" if path.is_dir() else "no such file"
+            advice = (
+                f"; {obtain(name, source)}" if source is not None else f" (looked from {Path.cwd()}); check the path"
+            )
+            raise LogError(f"{path}: {came}{advice}")
+        found += map(str, sorted(files))
+    return list(dict.fromkeys(found))
+
+
+def _expand(path: Path) -> list[Path]:
+    """Return the files of one path, folder or glob."""
+    if path.is_dir() and not any(get_format(name).claims(path) for name in format_names()):
+        return [inner for inner in path.iterdir() if inner.is_file() and not inner.name.startswith(".")]
+    if path.exists():
+        return [path]
+    return [Path(match) for match in glob.glob(str(path), recursive=True) if Path(match).is_file()]
+
+
+def read_tables(path: str, format: str) -> list[Table]:
+    """Read the recordings at a path.
+
+    Args:
+        path: File, folder or archive.
+        format: Registered name, or `auto` to recognise it from name and contents.
+
+    Raises:
+        LogError: The path cannot be read, is empty or has no known format.
+        ConfigError: The format is not registered.
+    """
+    place = Path(path).expanduser()
+    with parsing(path, "a recording"):
+        if not place.exists():
+            raise LogError(f"{path}: no such file (looked from {Path.cwd()}); check data.train and data.test")
+        reader = _recognise(place) if format == "auto" else get_format(format)
+        tables = reader.read(place)
+        if not any(table.columns or table.refused for table in tables):
+            raise LogError(f"{path}: no columns, expected a recording as {reader.name}")
+        return tables
+
+
+def _recognise(path: Path) -> Format:
+    """Recognise a format by a path's name or a folder's contents; without a suffix, by a file's first bytes."""
+    formats = [get_format(name) for name in format_names()]
+    head = b""
+    if path.is_file():
+        with path.open("rb") as file:
+            head = file.read(128)
+    named = [each for each in formats if each.claims(path)]
+    alike = [each.name for each in formats if head.startswith(each.magic)]
+    if named and (not alike or any(each.name in alike for each in named)):
+        return named[0]
+    if len(alike) == 1 and not path.suffix:
+        return get_format(alike[0])
+    what = "a folder" if path.is_dir() else f"suffix {path.suffix or 'none'}"
+    if alike:
+        raise LogError(
+            f"{path}: {what}, but its first bytes are those of {' or '.join(alike)}; rename it or set "
+            f"data.format={alike[0]}"
+        )
+    raise LogError(f"{path}: {what} of no known format; set data.format to one of {', '.join(format_names())}")

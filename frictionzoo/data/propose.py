@@ -1,0 +1,230 @@
+"""Proposed columns and units of signals, as options for the command line."""
+
+import math
+import re
+import shlex
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from frictionzoo.data.families import find_columns, is_usable
+from frictionzoo.data.recording import SIGNALS, Table
+from frictionzoo.data.signals import Signal
+from frictionzoo.data.units import UNITS, ratio
+
+BAM = {
+    **{"time": "timestamp", "qpos": "position", "qvel": "speed", "ctrl": "goal_position"},
+    **{"supply": "input_volts", "enable": "torque_enable", "temperature": "temp"},
+}
+SPELLINGS = {
+    **{"sec": "s", "secs": "s", "seconds": "s", "degree": "deg", "degrees": "deg", "radians": "rad", "nm": "N m"},
+    **{"dps": "deg/s", "deg_s": "deg/s", "rad_s": "rad/s", "radps": "rad/s", "mm_s": "mm/s", "m_s": "m/s"},
+    **{"volts": "V", "volt": "V", "amps": "A", "percent": "%", "pct": "%", "turns": "rev"},
+    **{"c": "degC", "celsius": "degC"},
+}
+STEPS = ((0.5, "s"), (200.0, "ms"), (2e5, "us"), (math.inf, "ns"))  # largest median step by unit, 5 Hz to 5 kHz
+NEAR = 0.12  # largest error of a ratio's logarithm for which the ratio shows the units
+ALIKE = 0.9  # least correlation of two signals of the same quantity
+TURNS = 57.0  # rad; nine turns of a joint, more likely a motion recorded in degrees
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Proposed columns and units of a table.
+
+    Attributes:
+        columns: Headers of each recognised signal.
+        units: Unit of each signal outside SI.
+        reasons: Reasons for the proposal, a sentence each.
+        certain: Whether all names are unambiguous and all signals seem to be in SI units.
+    """
+
+    columns: Mapping[str, tuple[str, ...]]
+    units: Mapping[str, str] = field(default_factory=dict)
+    reasons: tuple[str, ...] = ()
+    certain: bool = False
+
+    def overrides(self) -> list[str]:
+        """Return the proposal as options for the command line, quoted for a shell if needed."""
+        columns = [
+            f"data.columns.{signal}={_quote(headers[0]) if signal == 'time' else _list(headers)}"
+            for signal, headers in self.columns.items()
+        ]
+        units = [f"data.units.{signal}={_quote(unit)}" for signal, unit in self.units.items()]
+        return [_shell(option) for option in (*columns, *units)]
+
+
+def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()) -> Proposal:
+    """Propose columns and units for the signals of a table, from names and numbers.
+
+    Args:
+        table: Contents of a file.
+        joints: Names of the joints whose columns are wanted; empty if unknown.
+        said: Signals whose columns a user set.
+
+    Raises:
+        LogError: Headers of a signal not in `said` name only some of the joints, or a joint twice.
+    """
+    for known in ({signal: signal for signal in SIGNALS}, BAM):
+        if all(known[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
+            columns = {signal: (header,) for signal, header in known.items() if header in table.columns}
+            columns = {signal: found for signal, found in columns.items() if is_usable(table, signal, found)}
+            units, reasons = _units(table, columns)
+            reason = f"{', '.join(h for (h,) in columns.values())}: by their names"
+            return Proposal(columns, units, (reason, *reasons), certain=not units)
+    columns, named = find_columns(table, joints, said)
+    units, reasons = _units(table, columns)
+    return Proposal(columns, units, (*named, *reasons))
+
+
+@np.errstate(all="ignore")  # raw numbers: overflow or infinity gives no guess
+def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, str], list[str]]:
+    """Find units from headers, or from numbers if headers state none."""
+    units, reasons = {}, []
+    for signal, headers in columns.items():
+        unit = _unit_of(signal, headers[0])
+        if unit is not None and not table.units.get(headers[0]):
+            units[signal] = unit
+            reasons.append(f"{signal} in {unit}: by its header {headers[0]}")
+    for guess in (_guess_time, _guess_rate, _guess_turns, _guess_command, _guess_command_rate):
+        for signal, unit, reason in guess(table, columns, units):
+            units[signal] = unit
+            reasons.append(f"{signal} in {unit}: {reason}")
+    return {signal: unit for signal, unit in units.items() if _si(signal, unit) != 1}, reasons
+
+
+def _unit_of(signal: str, header: str) -> str | None:
+    """Return the unit in a header, in brackets or at its end."""
+    known = {name.replace(" ", "").lower(): name for name in UNITS[signal]}
+    inside = re.findall(r"[\[(]([^\])]*)[\])]\s*$", header)
+    parts = re.split(r"[_\s.]+", header.lower())
+    for word in (*inside, "_".join(parts[-2:]), *(parts[-1:] if len(parts) > 1 else ())):
+        word = SPELLINGS.get(word.strip().lower(), word.strip())
+        name = known.get(word.replace(" ", "").replace("*", "").replace("·", "").lower())
+        if name is not None and not name.isdigit():
+            return name
+    return None
+
+
+Guess = list[tuple[str, str, str]]
+Columns = Mapping[str, tuple[str, ...]]
+
+
+def _guess_time(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+    """Guess the unit of time from its steps."""
+    if "time" not in columns or "time" in units or columns["time"][0] in table.units:
+        return []
+    steps = np.diff(table.columns[columns["time"][0]].astype(float))
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    if not len(steps):
+        return []
+    step = float(np.median(steps))
+    unit = next((unit for limit, unit in STEPS if step < limit), STEPS[-1][1])
+    return [] if unit == "s" else [("time", unit, f"its step is {step:g}")]
+
+
+def _guess_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+    """Guess the units of position and velocity from the ratio of the position's derivative to the velocity."""
+    signals = _values(table, columns, ("time", "qpos", "qvel"))
+    if signals is None or {"qpos", "qvel"} <= set(units) or columns["qpos"][0] in table.units:
+        return []
+    time, position, velocity = signals
+    seconds = time * np.divide(*ratio("time", units.get("time") or table.units.get(columns["time"][0], "s")))
+    moved = np.isfinite(seconds) & (np.diff(seconds, prepend=-math.inf) > 0)
+    if moved.sum() < 3:
+        return []
+    size = _ratio(np.gradient(position[moved], seconds[moved]), velocity[moved])
+    if size is None:
+        return []
+    distance, a, b = min(
+        (abs(math.log(size / (_si("qvel", b) / _si("qpos", a)))), a, b)
+        for a in ([units["qpos"]] if "qpos" in units else ["rad", "deg", "rev", "mm"])
+        for b in ([units["qvel"]] if "qvel" in units else ["rad/s", "deg/s", "rpm", "mm/s"])
+    )
+    alike = abs(math.log(size)) < NEAR and not units.keys() & {"qpos", "qvel"}
+    if distance > NEAR or alike:
+        return []
+    reason = f"the derivative of {columns['qpos'][0]} is {size:.3g} times {columns['qvel'][0]}"
+    pairs = (("qpos", a), ("qvel", b))
+    return [(signal, unit, reason) for signal, unit in pairs if signal not in units and _si(signal, unit) != 1]
+
+
+def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+    """Guess degrees if the position in radians would be many turns."""
+    if "qpos" not in columns or "qpos" in units or columns["qpos"][0] in table.units:
+        return []
+    largest = float(np.nanmax(np.abs(table.columns[columns["qpos"][0]]), initial=0.0))
+    if not TURNS < largest < math.inf:
+        return []
+    rate = [("qvel", "deg/s", "like its position")] if "qvel" in columns and "qvel" not in units else []
+    return [("qpos", "deg", f"it reaches {largest:.4g}, nine turns in radians"), *rate]
+
+
+def _guess_command(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+    """Guess the unit of a command that the position follows."""
+    return _guess_followed(table, columns, units, "qpos", "ctrl", ("rad", "deg"))
+
+
+def _guess_command_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+    """Guess the unit of a desired velocity that the velocity follows."""
+    return _guess_followed(table, columns, units, "qvel", "ctrl_velocity", ("rad/s", "deg/s"))
+
+
+def _guess_followed(
+    table: Table, columns: Columns, units: Mapping[str, str], signal: str, told: str, possible: tuple[str, ...]
+) -> Guess:
+    """Guess the unit of a command from the ratio of the signal that follows it."""
+    if told in units or columns.get(told, ("",))[0] in table.units:
+        return []
+    signals = _values(table, columns, (signal, told))
+    if signals is None:
+        return []
+    known = units.get(signal) or table.units.get(columns[signal][0], possible[0])
+    size = _ratio(*signals, of_same=True)
+    if size is None:
+        return []
+    distance, unit = min((abs(math.log(size * _si(signal, known) / _si(signal, u))), u) for u in possible)
+    # A position short of its command does not show another unit; a factor of 57 does.
+    if distance > 10 * NEAR or _si(signal, unit) == 1:
+        return []
+    return [(told, unit, f"{columns[signal][0]} follows it, {size:.3g} times as large")]
+
+
+def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Signal] | None:
+    """Return the first column of each signal; None unless all exist with equal length."""
+    if not all(signal in columns for signal in signals):
+        return None
+    values = [table.columns[columns[signal][0]].astype(float) for signal in signals]
+    return values if len({len(each) for each in values}) == 1 else None
+
+
+def _ratio(first: Signal, second: Signal, of_same: bool = False) -> float | None:
+    """Return the ratio of the first signal to the second; None if they are not the same quantity."""
+    fine = np.isfinite(first) & np.isfinite(second) & (np.abs(first) < 1e100) & (np.abs(second) < 1e100)
+    if fine.sum() < 3 or not np.ptp(first[fine]) > 0 or not np.ptp(second[fine]) > 0:
+        return None
+    a, b = first[fine] - np.median(first[fine]), second[fine] - np.median(second[fine])
+    products = float(a @ b), float(a @ a), float(b @ b)
+    if min(products) <= 0 or products[0] < (ALIKE if of_same else 0.3) * math.sqrt(products[1] * products[2]):
+        return None
+    return products[0] / products[2]  # the first, a derivative, has the noise
+
+
+def _si(signal: str, unit: str) -> float:
+    numerator, denominator = ratio(signal, unit)
+    return numerator / denominator
+
+
+def _quote(name: str) -> str:
+    """Return a value of an option, quoted if Hydra would parse it as syntax."""
+    return name if re.fullmatch(r"[A-Za-z_][\w/ -]*", name) else '"' + name.replace('"', '\\"') + '"'
+
+
+def _list(headers: tuple[str, ...]) -> str:
+    return f"[{','.join(_quote(header) for header in headers)}]"
+
+
+def _shell(option: str) -> str:
+    """Return an option as one word of a shell; brackets around words need no quotes."""
+    return option if re.fullmatch(r"[\w.=/,\[\]-]*", option) else shlex.quote(option)

@@ -1,0 +1,185 @@
+"""Selection of recordings and payloads by fields, values for whole recordings such as gains or trajectory."""
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import Payload
+from frictionzoo.data.recording import Recording, Table
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Additional fields, and the selection of recordings by fields.
+
+    Args:
+        fields: Values of fields for all files; they override the fields in a file and its name.
+        from_name: Regular expression, searched in the file's name, whose named groups become fields; None for none.
+        where: Field values of recordings to keep.
+        exclude: Field values of recordings to leave out.
+
+    Raises:
+        ConfigError: An option has the wrong form.
+    """
+
+    fields: Mapping[str, Any]
+    from_name: str | None
+    where: Mapping[str, Any]
+    exclude: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        for option in ("where", "exclude"):
+            for name, values in getattr(self, option).items():
+                if isinstance(values, str) or not isinstance(values, Sequence):
+                    raise ConfigError(f"data.{option}.{name}={values}: expected a list of values, as in [{values}]")
+        for name, value in self.fields.items():
+            if not isinstance(value, str | int | float):
+                raise ConfigError(f"data.fields.{name}={value}: expected a number or text")
+        if self.from_name is not None and not _compile(self.from_name).groupindex:
+            came = f"data.fields_from_name={self.from_name}"
+            raise ConfigError(f"{came}: no named group, expected one, as in (?P<kp>\\d+)")
+
+    def keep(self, tables: Sequence[Table]) -> list[Table]:
+        """Return the selected tables with all their fields.
+
+        Raises:
+            LogError: A name does not match `from_name`, no table has a requested field or value, or none is selected.
+        """
+        tables = [replace(table, fields=self._all_fields(table)) for table in tables]
+        for option, asked in (("where", self.where), ("exclude", self.exclude)):
+            for name, values in asked.items():
+                refuse_absent(tables, name, values, f"data.{option}", f"data.{option}.{name}")
+        kept = [table for table in tables if self._is_kept(table.fields)]
+        if not kept:
+            raise LogError(f"data.where and data.exclude leave none of {len(tables)} recordings; relax them")
+        return kept
+
+    def _all_fields(self, table: Table) -> dict[str, Any]:
+        named = {}
+        if self.from_name is not None:
+            match = _compile(self.from_name).search(table.name)
+            if match is None:
+                raise LogError(
+                    f"{table.name}: data.fields_from_name={self.from_name} does not match; correct the pattern"
+                )
+            named = {name: _number_or_text(text) for name, text in match.groupdict().items() if text is not None}
+        added = {name: value if isinstance(value, str) else float(value) for name, value in self.fields.items()}
+        return {**table.fields, **named, **added}
+
+    def _is_kept(self, fields: Mapping[str, Any]) -> bool:
+        wanted = all(is_among(fields.get(name), values) for name, values in self.where.items())
+        return wanted and not any(is_among(fields.get(name), values) for name, values in self.exclude.items())
+
+
+def _equal(one: Any, other: Any) -> bool:
+    """Return whether two values of a field are equal, numbers up to rounding."""
+    if isinstance(one, int | float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=1e-9)
+    return one == other
+
+
+def is_among(value: Any, values: Iterable[Any]) -> bool:
+    """Return whether a field's value is one of these."""
+    return any(_equal(value, other) for other in values)
+
+
+def refuse_absent(carriers: Sequence[Any], name: str, values: Iterable[Any], option: str, asked: str) -> None:
+    """Refuse a field or a value of it that no recording has, with a LogError.
+
+    Args:
+        carriers: Tables or recordings, with `fields`.
+        name: Name of the field.
+        values: Requested values of the field.
+        option: Option that names the field, for messages.
+        asked: Option that names the values, for messages.
+    """
+    present = list(dict.fromkeys(carrier.fields[name] for carrier in carriers if name in carrier.fields))
+    if not present:
+        known = {known for carrier in carriers for known in carrier.fields}
+        raise LogError(f"{option}: no recording has a field {name}; {closest(name, known)}")
+    present.sort(key=lambda value: (isinstance(value, str), value))
+    for value in values:
+        if not is_among(value, present):
+            raise LogError(f"{asked}={value}: no recording has it; expected one of {', '.join(map(str, present))}")
+
+
+def _compile(pattern: str) -> re.Pattern[str]:
+    try:
+        return re.compile(pattern)
+    except re.error as error:
+        raise ConfigError(f"data.fields_from_name={pattern}: {error}; expected a regular expression") from None
+
+
+def _number_or_text(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> list[Payload | None]:
+    """Return the payload of the drive in each recording.
+
+    Args:
+        given: Empty for none; or seven numbers a recording; or entries with `when` (values of fields) and `payload`
+            (seven numbers). The numbers are mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2].
+        recordings: Recordings, training before test.
+
+    Raises:
+        ConfigError: A payload is invalid, the numbers of payloads and recordings differ, or not exactly one entry
+            matches a recording.
+    """
+    if not given:
+        return [None] * len(recordings)
+    if isinstance(given[0], Mapping):
+        table = [_read_entry(place, entry) for place, entry in enumerate(given)]
+        return [_look_up(table, recording) for recording in recordings]
+    if len(given) != len(recordings):
+        expected = f"expected {len(recordings)}, one a recording, train first"
+        raise ConfigError(f"data.payload has {len(given)} entries, {expected}")
+    return [_read_numbers(recording.name, numbers) for recording, numbers in zip(recordings, given, strict=True)]
+
+
+def _read_entry(place: int, entry: Any) -> tuple[Mapping[str, Any], Payload]:
+    """Read condition and payload of one entry."""
+    if not isinstance(entry, Mapping) or set(entry) != {"when", "payload"} or not isinstance(entry["when"], Mapping):
+        raise ConfigError(f"data.payload[{place}] is {entry}; expected when: {{field: value}} and payload: [7 numbers]")
+    return entry["when"], _read_numbers(_describe(entry["when"]), entry["payload"])
+
+
+def _look_up(table: Sequence[tuple[Mapping[str, Any], Payload]], recording: Recording) -> Payload:
+    """Return the payload of the only entry that matches a recording."""
+    fields = recording.fields
+    fitting = [
+        payload
+        for when, payload in table
+        if all(name in fields and _equal(fields[name], value) for name, value in when.items())
+    ]
+    if len(fitting) == 1:
+        return fitting[0]
+    asked = {name: fields.get(name, "missing") for when, _ in table for name in when}
+    came = f"{recording.name}: {len(fitting) or 'no'} entries of data.payload fit {_describe(asked)}"
+    raise ConfigError(f"{came}, expected one; correct the table or leave the recording out with data.exclude")
+
+
+def _read_numbers(owner: str, numbers: Any) -> Payload:
+    """Read a payload from its seven numbers."""
+    came = f"data.payload of {owner} is {numbers}"
+    if not isinstance(numbers, Sequence) or len(numbers) != 7 or not all(_is_finite(x) for x in numbers):
+        raise ConfigError(f"{came}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz")
+    mass, x, y, z, ixx, iyy, izz = map(float, numbers)
+    if min(mass, ixx, iyy, izz) < 0 or 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
+        expected = "mass and inertia of at least 0, and no inertia above the sum of the other two"
+        raise ConfigError(f"{came}; expected {expected}")
+    return Payload(mass, (x, y, z), (ixx, iyy, izz))
+
+
+def _describe(fields: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in fields.items())
+
+
+def _is_finite(number: Any) -> bool:
+    return isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)

@@ -1,0 +1,111 @@
+"""Division of recordings into training and test data: by time, by file or by a field."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import split_by_time
+from frictionzoo.data.recording import Recording
+from frictionzoo.data.select import is_among, refuse_absent
+
+
+@dataclass(frozen=True)
+class Split:
+    """Rule that divides recordings into training and test data.
+
+    Args:
+        by: `time` trains on the first block of every log and tests on the last; `file` divides whole recordings; any
+            other value is a field.
+        test: By file, names or patterns of the test recordings, or their share, evenly spread; by a field, its test
+            values; by time, empty.
+        test_share: By time, test share of each log's samples.
+        gap: By time, length of the unused block between the parts [s].
+
+    Raises:
+        ConfigError: `test` does not fit `by`.
+    """
+
+    by: str = "time"
+    test: Sequence[Any] | float = ()
+    test_share: float | int = 0.2
+    gap: float | int = 1.0
+
+    def __post_init__(self) -> None:
+        if self.by == "time" and self._tested:
+            raise ConfigError(
+                f"data.split.test={self.test} with by=time; expected by=file or a field, as in by=kp test=[16]"
+            )
+        if self.by != "time" and not self._tested:
+            raise ConfigError(f"data.split.test=[] with by={self.by}; expected names or values that test")
+
+    @property
+    def _tested(self) -> list[Any]:
+        return list(self.test) if isinstance(self.test, Sequence) and not isinstance(self.test, str) else [self.test]
+
+    def divide(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> tuple[list[Log], list[Log]]:
+        """Divide the logs of each recording into training and test logs.
+
+        Raises:
+            LogError: No recording matches `test`, or all do, which leaves none to train.
+            ConfigError: An option is impossible.
+        """
+        if self.by == "time":
+            share, gap = float(self.test_share), float(self.gap)
+            parts = [split_by_time(log, share, gap) for cleaned in logs for log in cleaned]
+            return [first for first, _ in parts], [last for _, last in parts]
+        tests = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
+        if tests.all():
+            all_of_them = f"data.split.by={self.by} test={self.test}: all {len(tests)} recordings test"
+            raise LogError(f"{all_of_them}, none is left to train; select fewer")
+        train, test = [], []
+        for chosen, cleaned in zip(tests, logs, strict=True):
+            (test if chosen else train).extend(cleaned)
+        return train, test
+
+    def _choose_by_field(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:
+        refuse_absent(recordings, self.by, self._tested, "data.split.by", f"data.split.by={self.by} test")
+        for recording in recordings:
+            if self.by not in recording.fields:
+                what = f"{recording.name}: no field {self.by} for data.split"
+                raise LogError(f"{what}; add it with data.fields or leave the recording out")
+        return np.array([is_among(recording.fields[self.by], self._tested) for recording in recordings])
+
+    def _choose_files(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:
+        share = self._tested[0]
+        if isinstance(share, int | float) and len(self._tested) == 1:
+            return _spread(float(share), len(recordings))
+        tests = np.zeros(len(recordings), dtype=bool)
+        for pattern in map(str, self._tested):
+            fits = np.array([_is_called(recording.name, pattern) for recording in recordings])
+            if not fits.any():
+                raise LogError(
+                    f"data.split.test={pattern}: none of {len(fits)} recordings has that name; expected a name or a "
+                    f"pattern such as {_last_part(recordings[0].name)}"
+                )
+            tests |= fits
+        return tests
+
+
+def _spread(share: float, count: int) -> Bool[np.ndarray, "recordings"]:
+    """Choose a share of the recordings, evenly spread, at least one."""
+    if not 0 < share < 1:
+        raise ConfigError(f"data.split.test={share:g} with by=file; expected names or a share between 0 and 1")
+    chosen = np.zeros(count, dtype=bool)
+    number = max(1, round(share * count))
+    chosen[(2 * np.arange(number) + 1) * count // (2 * number)] = True
+    return chosen
+
+
+def _is_called(name: str, pattern: str) -> bool:
+    return name == pattern or fnmatch(name, pattern) or fnmatch(_last_part(name), pattern)
+
+
+def _last_part(name: str) -> str:
+    """Return a file's name without its folders, or a member's name without its archive and folders."""
+    return name.rpartition("!")[2].replace("\\", "/").rpartition("/")[2]

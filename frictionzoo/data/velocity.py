@@ -1,0 +1,128 @@
+"""Recorded velocities beside those of positions: without motion, in another unit, of another joint, late or noisy."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.errors import LogError
+from frictionzoo.data.signals import Signal, derive_velocity, find_noise, find_velocity_lag, repair_spikes
+
+DEAD = 0.01  # share of the spread of the position's derivative, below which an unrelated velocity shows no motion
+COMPARED = 200  # fewest samples for comparing a measured velocity with the position
+SAME_UNIT = 3.0  # largest ratio of velocity and derivative in the same unit; a filter may lower the velocity
+
+Columns = Float[np.ndarray, "time columns"]
+"""Samples of one signal, one column a joint."""
+
+
+def find_dead_velocities(time: Signal, qpos: Columns, qvel: Columns, gap: float) -> dict[int, str]:
+    """Find joints whose recorded velocity is missing, constant or shows no motion.
+
+    Args:
+        time: Sample times [s].
+        qpos: Recorded positions [rad or m]; NaN where missing.
+        qvel: Recorded velocities [rad/s or m/s]; NaN where missing.
+        gap: Longest interval that is not a gap, in median intervals.
+
+    Returns:
+        A sentence about each such joint, by joint number.
+    """
+    faults = (_find_fault(time, *pair, gap) for pair in zip(qpos.T, qvel.T, strict=True))
+    return {joint: f"qvel{of_joints([joint], qvel)} {fault}" for joint, fault in enumerate(faults) if fault}
+
+
+def _find_fault(time: Signal, position: Signal, velocity: Signal, gap: float) -> str:
+    """Return why a velocity shows no motion; empty if it does show the motion.
+
+    Args:
+        time: Sample times [s].
+        position: Recorded position of the joint [rad or m]; NaN where missing.
+        velocity: Recorded velocity of the joint [rad/s or m/s]; NaN where missing.
+        gap: Longest interval that is not a gap, in median intervals.
+    """
+    known = np.isfinite(position)
+    there = known & np.isfinite(velocity)
+    if there.sum() * gap < known.sum():
+        return f"is missing in {100 * (1 - there.sum() / known.sum()):.3g} % of the samples"
+    if not known.any() or not np.ptp(position[known]) > 0:  # a velocity of 0 is correct at rest
+        return ""
+    if not np.ptp(velocity[there]) > 0:
+        return f"is constantly {velocity[there][0]:.3g} while qpos moves"
+    spread = float(np.std(derive_velocity(time, repair_spikes(position))))
+    if np.std(velocity[there]) < DEAD * spread and find_velocity_lag(time, position, velocity) is None:
+        return f"varies by {np.std(velocity[there]):.2g} and the position's derivative by {spread:.2g}"
+    return ""
+
+
+def compare_velocities(
+    name: str, time: Signal, qpos: Columns, qvel: Columns, joints: Iterable[int], estimates: Columns | None
+) -> tuple[list[str], list[int]]:
+    """Compare measured velocities with positions.
+
+    Args:
+        name: Name of the recording, for messages.
+        time: Uniform sample times [s].
+        qpos: Positions [rad or m].
+        qvel: Velocities [rad/s or m/s].
+        joints: Numbers of the joints to compare.
+        estimates: Velocities estimated from the positions [rad/s or m/s]; None to keep all measured ones.
+
+    Returns:
+        A sentence about each joint whose velocity is less accurate than its estimate, and one about the joints whose
+        velocity does not match the position's derivative; and the numbers of the former joints.
+
+    Raises:
+        LogError: The units of a velocity and its position differ.
+    """
+    worse, unlike = dict[int, str](), list[int]()
+    for joint in joints if len(time) >= COMPARED else ():
+        found = find_velocity_lag(time, repair_spikes(qpos[:, joint]), qvel[:, joint])
+        if found is None:
+            unlike.append(joint)
+        elif not 1 / SAME_UNIT < found[1] < SAME_UNIT:
+            raise LogError(
+                f"{name}: qvel{of_joints([joint], qvel)} is {found[1]:.4g} times the position's derivative, expected "
+                "about 1 (57.3: degrees, 9.55: rpm); set data.units, or data.clean.velocity=measured to use it "
+                "unchanged"
+            )
+        elif estimates is not None and (
+            why := _say_worse(qvel[:, joint], estimates[:, joint], found[0], float(time[1] - time[0]))
+        ):
+            worse[joint] = f"qvel{of_joints([joint], qvel)} {why}"
+    said = list(worse.values())
+    if unlike:
+        said.append(
+            f"qvel{of_joints(unlike, qvel)} does not match the position's derivative: check for swapped columns, or "
+            "set data.clean.velocity=estimated"
+        )
+    return said, list(worse)
+
+
+def _say_worse(velocity: Signal, estimate: Signal, lag: float, timestep: float) -> str:
+    """Return why an estimate from the position is more accurate than the measured velocity; empty if it is not.
+
+    The squared difference of both is the sum of the measurement's noise, its lag and the estimate's error. The noise
+    is found from differences of the velocity, and the part of the lag [s] by removing it.
+    """
+    noise, samples = find_noise(velocity), round(lag / timestep)  # interpolation within samples would smooth the noise
+    difference, in_time = (
+        float(np.square(_later(velocity, shift) - _later(estimate, -shift)).mean()) for shift in (0, samples)
+    )
+    late = max(difference - in_time, 0.0)
+    if not in_time - noise**2 < noise**2 + late:
+        return ""
+    if late > noise**2:
+        return f"lags qpos by {1e3 * lag:.3g} ms"
+    return f"has more noise ({noise:.2g} rad/s or m/s) than an estimate from qpos"
+
+
+def _later(signal: Signal, samples: int) -> Float[np.ndarray, "kept"]:
+    """Return a signal without its first samples; without its last ones if the number is negative."""
+    return signal[max(samples, 0) : len(signal) + min(samples, 0)]
+
+
+def of_joints(joints: Sequence[int], values: Columns) -> str:
+    """Return ` of joint 2` or ` of joints 1, 3` for messages; empty for all joints."""
+    numbers = ", ".join(str(joint + 1) for joint in joints)
+    return "" if len(joints) == values.shape[1] else f" of joint{'s' if len(joints) > 1 else ''} {numbers}"

@@ -1,0 +1,80 @@
+"""Next steps after a design, as shell commands: a command for the test recording, and the analysis of recordings."""
+
+import json
+import shlex
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
+
+from omegaconf import OmegaConf
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.config import compose_config, list_choices, list_options
+from frictionzoo.models import FrictionModel
+from frictionzoo.models.by_joint import ByJoint
+
+_RECORDED = "'data.train=[a.csv]' 'data.test=[b.csv]'"
+_OF_THE_DRIVE = ("bench", "scale")
+
+
+def list_steps(
+    options: Mapping[str, str],
+    run: str | None,
+    settings: Mapping[str, Any],
+    bench: Bench,
+    model: FrictionModel,
+    length: int,
+) -> list[dict[str, str]]:
+    """List purpose and shell command of each step, in order.
+
+    Args:
+        options: Options of the design, as text.
+        run: Folder of the run of the drive; None: no run.
+        settings: Settings of a run, with bench and friction model.
+        bench: The test stand.
+        model: The friction model.
+        length: Sample intervals in a segment of the fit.
+    """
+    asked = {**options, "seed": str(int(options.get("seed", "0")) + 1), "output": "excitation_test"}
+    again = [*([run] if run else []), *(f"{name}={value}" for name, value in asked.items())]
+    fit = shlex.join(
+        [*_list_drive_options(settings), *_choose_law(bench, model), "fit=lm", f"segments.length={length}"]
+    )
+    steps = {
+        "Another command, to test on": shlex.join(["python", "-m", "frictionzoo.design", *again]),
+        "Look at the recordings": "frictionzoo inspect a.csv b.csv",
+        "Fit them, with the segments of the design": f"python -m frictionzoo.run data=files {_RECORDED} {fit}",
+    }
+    return [{"purpose": purpose, "command": command} for purpose, command in steps.items()]
+
+
+def _choose_law(bench: Bench, model: FrictionModel) -> list[str]:
+    if not isinstance(model, ByJoint):
+        return [f"model={model.name}"]
+    laws = {name: model.of_joint(at)[0].name for at, name in enumerate(bench.joints)}
+    return ["model=by_joint", f"model.laws={{{', '.join(f'{name}: {law}' for name, law in laws.items())}}}"]
+
+
+def _list_drive_options(settings: Mapping[str, Any]) -> list[str]:
+    """List the fewest options that turn the bench of data=files into the bench of the design."""
+    wanted = dict(_list_leaves(settings))
+    return min((_differ(wanted, choice) for choice in ("", *list_choices("bench"))), key=len)
+
+
+def _differ(wanted: Mapping[str, Any], bench: str) -> list[str]:
+    """List the options that this bench file needs; options chosen by a recipe stay open."""
+    chosen = [f"bench={bench}"] if bench else []
+    composed = OmegaConf.to_container(compose_config("data=files", "recipe=given", *chosen), resolve=True)
+    has = dict(_list_leaves(cast(dict[str, Any], composed)))
+    return chosen + [
+        f"{'' if name in has else '+'}{name}={_write(value)}"
+        for name, value in wanted.items()
+        if name not in has or has[name] != value
+    ]
+
+
+def _list_leaves(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    return list_options({name: settings[name] for name in _OF_THE_DRIVE})
+
+
+def _write(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))

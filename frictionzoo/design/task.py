@@ -1,0 +1,119 @@
+"""Simulation of a drive for experiment design: motion, use of the limits, and information of a command."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.bench.limits import Motion
+from frictionzoo.core.state import Signals
+from frictionzoo.design.information import Information, Sensitivity, inform
+from frictionzoo.models import FrictionModel
+from frictionzoo.simulation.drive import Drive
+from frictionzoo.simulation.proof import Cases, simulate_in_c
+from frictionzoo.simulation.rollout import applied, make_observer
+
+
+class Seen(NamedTuple):
+    """Motions of a batch of commands, and their information."""
+
+    motion: Motion
+    information: Information
+
+
+@dataclass(frozen=True)
+class Task:
+    """A drive and its planned fit.
+
+    Attributes:
+        bench: The test stand.
+        model: The friction model.
+        drive: Simulation of both.
+        sensitivity: The planned fit.
+        vector: Coordinates of the assumed parameters.
+        constants: Constant inputs of the actuator model by name, each of shape (nv,).
+        load: Changes of the MuJoCo model by the payload.
+    """
+
+    bench: Bench
+    model: FrictionModel
+    drive: Drive
+    sensitivity: Sensitivity
+    vector: Float[np.ndarray, "coordinates"]
+    constants: Mapping[str, Float[np.ndarray, "nv"]]
+    load: Float[np.ndarray, "load"]
+
+    @property
+    def values(self) -> dict[str, dict[str, Any]]:
+        """Values of all parameters, by owner and name."""
+        found = self.sensitivity.space.values(jnp.asarray(self.vector))
+        return {owner: {name: np.asarray(value) for name, value in own.items()} for owner, own in found.items()}
+
+    def signals(self, xp: Any, ctrl: Any, speed: Any) -> Signals:
+        """Return the signals from each sample but the last on, with the history before the first that a delay needs.
+
+        Args:
+            xp: Array namespace.
+            ctrl: Commanded position [rad or m], of shape (batch, samples, nv).
+            speed: Its derivative [rad/s or m/s].
+        """
+        given = {"ctrl_velocity": speed, **self.constants}
+
+        def lengthen(signal: Any) -> Any:
+            signal = xp.broadcast_to(signal, ctrl.shape)[:, :-1]
+            return xp.concatenate([signal[:, :1]] * self.sensitivity.sampling.history + [signal], axis=1)
+
+        names = self.bench.actuator.inputs
+        observed = {name: lengthen(xp.asarray(value)) for name, value in self.bench.observed.items()}
+        return Signals(lengthen(ctrl), {name: lengthen(given[name]) for name in names}, observed)
+
+    def see(self, ctrl: Array, speed: Array, home: Float[np.ndarray, "nv"], steady: int = 0) -> Seen:
+        """Simulate commands of shape (batch, samples, nv), with their information; differentiable, to be compiled.
+
+        Segments that begin before the sample `steady` do not count for the information.
+        """
+        vector, signals = jnp.asarray(self.vector), self.signals(jnp, ctrl, speed)
+        load = jnp.broadcast_to(jnp.asarray(self.load), (len(ctrl), len(self.load)))
+        sensed = self.sensitivity.look(vector, home, signals, load)
+        qpos, qvel = sensed.qpos[:, :-1], sensed.qvel[:, :-1]
+        observe = make_observer(self.drive.engine, self.sensitivity.sampling)
+        torque = observe(self.sensitivity.space.values(vector), qpos, qvel, signals, load).motor_torque
+        motion = Motion(ctrl[:, :-1], speed[:, :-1], qpos, qvel, torque)
+        return Seen(
+            motion,
+            inform(
+                sensed.slopes[-(-steady // self.sensitivity.length) :], self.sensitivity.weights, self.sensitivity.noise
+            ),
+        )
+
+    def expect(
+        self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray
+    ) -> Float[np.ndarray, "coordinates"]:
+        """Return half of each expected interval for a recording of one command, in the optimiser's coordinates."""
+        see = self.drive.rollout.compile(lambda ctrl, speed: self.see(ctrl, speed, home).information)
+        segments = self.sensitivity.segments(len(ctrl))
+        return self.sensitivity.half_widths(see(ctrl[None], speed[None]), segments)[0]
+
+    def see_in_c(
+        self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray
+    ) -> tuple[Motion, Motion]:
+        """Simulate one command in MuJoCo C; return the motion at its samples and in all simulation steps."""
+        sampling, values = self.sensitivity.sampling, self.values
+        signals = self.signals(np, ctrl[None], speed[None])
+        acting = applied(jax.tree.map(jnp.asarray, values), signals.map(jnp.asarray), sampling)
+        steps = acting.map(lambda signal: np.asarray(signal, np.float64).reshape(1, -1, self.bench.nv))
+        start = Cases(home[None], np.zeros((1, self.bench.nv)), steps, self.load[None])
+        qpos, qvel, torque = simulate_in_c(self.bench, self.model, values, start)[:, 0]
+        held, rate = (np.repeat(signal[:-1], sampling.substeps, axis=0) for signal in (ctrl, speed))
+        sampled = [
+            np.concatenate([first, after])[:: sampling.substeps]
+            for first, after in ((start.qpos, qpos), (start.qvel, qvel))
+        ]
+        torques = torque[:: sampling.substeps]
+        whole = Motion(held, rate, qpos, qvel, torque)
+        return Motion(ctrl, speed, sampled[0], sampled[1], np.concatenate([torques, torques[-1:]])), whole

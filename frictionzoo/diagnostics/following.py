@@ -1,0 +1,225 @@
+"""Diagnostics of a position and its command: sign, order of joints, scale, zero and time shift."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Bool, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.log import Log
+from frictionzoo.data.signals import Signal
+from frictionzoo.diagnostics.commands import takes_energy
+from frictionzoo.diagnostics.findings import Repair, Said, identify_delay, say_sign, turn
+from frictionzoo.diagnostics.lags import SHORTEST, WINDOWS, Likeness, compare, find_drift, pick_lag, say_drift
+
+FOLLOWS = 0.9  # correlation above which a position follows its command
+IGNORES = 0.5  # correlation below which it does not
+LARGER = 3.0  # scale of position over command above which units are wrong
+SMALLER = 8.0  # inverse scale above which units are likely wrong
+FAR_SMALLER = 20.0  # inverse scale that no weak gain explains
+APART = 0.5  # smallest distance of position and command, over their motion, that indicates different zeros
+DEGREE = 0.1  # relative tolerance of a factor that is recognised as a unit, such as 57.3 for degrees
+MUCH_BETTER, FAR_BETTER = (
+    0.5,
+    0.1,
+)  # misfit relative to that at usual lags, below which another lag is better, and certain
+POOR = 0.02  # misfit at usual lags below which a position follows, even if another lag is better
+EARLY = 0.01  # s, smallest lead of a position that counts
+LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness: their sum is the largest usual lag
+QUARTER = 0.2  # s, largest lag at which an opposite sign is sought
+COPIES, ABOUT = 0.98, 0.3  # correlation, and relative deviation of the scale from 1, of a followed command
+LATEST_OTHER = 0.3  # s, largest lag behind another joint's command
+OTHER = 0.3  # distance to another joint's command, relative to the joint's command, below which columns are swapped
+
+
+class Followed(NamedTuple):
+    """A joint's position compared with its command.
+
+    Attributes:
+        qpos: Position without outliers [rad or m].
+        ctrl: Command without outliers [rad or m].
+        on: Samples in which the drive should follow.
+        likeness: Similarity of both at many lags.
+        settles: Damping over stiffness of the actuator law, which explains a lag of the position [s].
+        work: Net work of the command, as a share of the energy that it exchanges.
+    """
+
+    qpos: Signal
+    ctrl: Signal
+    on: Bool[np.ndarray, "time"]
+    likeness: Likeness
+    settles: float
+    work: float
+
+
+def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -> float:
+    """Return damping over stiffness of the actuator law near its desired position [s]; 0 without stiffness."""
+    values, law, still = bench.initial_values(), bench.actuator, np.zeros_like(log.qpos)
+    affine, small = law.affine(values), 1e-4
+
+    def torque(qvel: Float[np.ndarray, "time nv"], ctrl: Float[np.ndarray, "time nv"]) -> np.ndarray:
+        given = law.control(np, values, still, qvel, ctrl, log.inputs)
+        return np.asarray(affine.gain * given + affine.bias2 * qvel)[on, joint]
+
+    stiffness = float(np.median(torque(still, still + small) - torque(still, still - small)))
+    damping = float(np.median(torque(still - small, still) - torque(still + small, still)))
+    return max(damping / stiffness, 0.0) if stiffness > 0 else 0.0
+
+
+def check_following(
+    log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool, swapped: int | None
+) -> Iterator[Said]:
+    """Find faults of a position and its command.
+
+    Args:
+        log: The recording.
+        of: The joint, in messages.
+        bench: The test stand.
+        joint: Index of the joint.
+        found: Its position compared with its command.
+        drifts: Whether the lag changes over the recording, so that a single lag has no meaning.
+        swapped: Index of the joint whose command it follows instead; None for none.
+    """
+    least = max(2 * log.timestep, EARLY)
+    usual = found.likeness.between(-least, max(LATE, found.settles))
+    best, slide = found.likeness.best, bench.joint_type == "slide"
+    opposed = found.likeness.between(0.0, QUARTER).correlation.min()
+    if swapped is not None:
+        yield (
+            "swapped",
+            True,
+            f"qpos{of} follows ctrl of {bench.joints[swapped]}: columns are swapped; put "
+            "data.columns.ctrl, or data.columns.qpos and data.columns.qvel, into the order of the bench's joints",
+        )
+    elif opposed < -FOLLOWS and -opposed > usual.correlation.max():
+        yield (
+            "opposed",
+            True,
+            f"qpos{of} moves opposite to ctrl (correlation {opposed:.2f}), expected to follow it; set "
+            f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
+            turn(joint, "ctrl"),
+        )
+    elif found.likeness.correlation[best] < IGNORES:
+        yield (
+            "ignored",
+            takes_energy(bench, joint, found.work),
+            f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): check "
+            "that ctrl is a desired position (bench.actuator, or another bench) of this joint (data.columns.ctrl)",
+        )
+    elif found.likeness.correlation[best] > FOLLOWS:
+        yield from () if drifts else _check_time(of, found, least)
+        yield from _check_size(of, found, slide)
+
+
+def find_swaps(log: Log, followed: Mapping[int, Followed]) -> dict[int, int]:
+    """Return the joints that follow another joint's command, with that joint, if exchanged commands suit them all."""
+    own = {joint: float(one.likeness.between(0.0, LATEST_OTHER).distance.min()) for joint, one in followed.items()}
+    astray = [joint for joint, one in followed.items() if own[joint] > OTHER * np.std(one.qpos[one.on])]
+    apart = np.zeros((len(astray), len(astray)))
+    for row, joint in enumerate(astray):
+        one = followed[joint]
+        for column, other in enumerate(astray):
+            beside = compare(one.qpos, followed[other].ctrl, log.timestep, one.on).between(0.0, LATEST_OTHER)
+            apart[row, column] = float(beside.distance.min())
+    rows, columns = scipy.optimize.linear_sum_assignment(apart**2)
+    found = {astray[row]: astray[column] for row, column in zip(rows, columns, strict=True) if row != column}
+    nearer = all(
+        apart[row, column] < OTHER * apart[row, row] for row, column in zip(rows, columns, strict=True) if row != column
+    )
+    return found if nearer else {}
+
+
+def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]]:
+    """Find a torque command that the position follows like a desired position."""
+    ctrl = log.ctrl[:, joint]
+    if np.ptp(ctrl) > 0:
+        likeness = compare(log.qpos[:, joint], ctrl, log.timestep, np.ones(log.samples, bool)).between(0.0, LATE)
+        if likeness.correlation.max() > COPIES and abs(likeness.scale[likeness.best] - 1) < ABOUT:
+            yield (
+                "asked",
+                False,
+                f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
+                f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the bench of "
+                "these recordings (bench=NAME) or a position actuator (bench.actuator._target_)",
+            )
+
+
+def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
+    """Find a lag behind the command that changes over the recording."""
+    lags = []
+    for window in np.array_split(np.arange(log.samples), WINDOWS):
+        # Lags need commands before and after the window.
+        around = slice(max(0, window[0] - len(window)), window[-1] + len(window))
+        inside = np.zeros(log.samples, bool)
+        inside[window] = found.on[window]
+        lag = None
+        if inside.sum() >= SHORTEST:
+            part = compare(found.qpos[around], found.ctrl[around], log.timestep, inside[around])
+            follows = len(part.lags) > 2 and part.correlation.max() > FOLLOWS
+            lag = pick_lag(part.lags, part.misfit) if follows else None
+        lags.append(None if lag is None else (float(log.time[window].mean()), lag))
+    if drift := find_drift(lags):
+        yield "drift", False, say_drift(drift)
+
+
+def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
+    """Find a position that is ahead of its command, or later than the drive explains."""
+    likeness, lag = found.likeness, float(found.likeness.lags[found.likeness.best])
+    late = LATE + GAINS * found.settles
+    # A periodic command matches equally well a period later.
+    usual = float(likeness.between(-least, late).misfit.min())
+    better, poor = float(likeness.misfit.min()) / max(usual, 1e-12), usual > POOR
+    if lag < -least and (better < MUCH_BETTER if found.work < 0 else better < FAR_BETTER and poor):
+        yield (
+            "early",
+            True,
+            f"qpos{of} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
+            f"data.clean.command_lag={-lag + found.settles:.2g} (s), or its true lag",
+            (Repair("data.clean.command_lag", float(f"{-lag + found.settles:.2g}")),),
+        )
+    elif lag > late and better < MUCH_BETTER and poor:
+        yield (
+            "late",
+            False,
+            f"qpos{of} lags ctrl by {1e3 * lag:.3g} ms; the controller's gains explain {1e3 * found.settles:.3g} ms: "
+            "identify bench.params.delay (bench.params.delay.identify=true and "
+            f"bench.params.delay.high={1.5 * lag:.2g}), or check that the columns have the same times",
+            identify_delay(lag),
+        )
+
+
+def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bool, str]]:
+    """Find a position whose scale or zero differs from its command's."""
+    scale = float(found.likeness.scale[found.likeness.best])
+    qpos, ctrl = found.qpos[found.on], found.ctrl[found.on]
+    moved, asked, apart = np.ptp(qpos), np.ptp(ctrl), float(np.abs(qpos - ctrl).min())
+    if scale > LARGER or scale < 1 / SMALLER:
+        yield (
+            "size",
+            scale > LARGER or scale < 1 / FAR_SMALLER,
+            f"qpos{of} moves by {moved:.3g} while ctrl spans {asked:.3g}, {scale:.4g} times as far: set "
+            f"{_mend(scale, slide)}",
+        )
+    elif apart > APART * max(moved, asked):
+        yield (
+            "zero",
+            False,
+            f"qpos{of} and ctrl differ by {apart:.3g} or more over a motion of {max(moved, asked):.3g}: check that "
+            "both have the same zero (bench.params.position_offset)",
+        )
+
+
+def _mend(scale: float, slide: bool) -> str:
+    """Return the option of the unit or gear ratio that gives a position the scale of its command."""
+    signal, factor = ("qpos", scale) if scale > 1 else ("ctrl", 1 / scale)
+    unit, size = ("mm", 1000.0) if slide else ("deg", 180 / math.pi)
+    alike = " (and data.units.qvel)" if signal == "qpos" else ""
+    if abs(factor / size - 1) < DEGREE:
+        return f"data.units.{signal}={unit}{alike}"
+    return (
+        f"data.units.{signal}={unit} if it is in {unit} ({size:.3g} times), or, for a missing gear ratio, "
+        f"data.units.{signal}={1 / factor:.3g}{alike}"
+    )

@@ -1,0 +1,118 @@
+"""Similarity of two signals at many lags, and the drift of a lag."""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+from jaxtyping import Bool, Float
+
+from frictionzoo.data.signals import Signal
+
+FARTHEST = 1.0  # s, largest lag in either direction
+WINDOWS = 6  # windows of a recording, each with its own lag
+SHORTEST = 50  # samples of a window
+SURE = 0.15  # s, widest range of lags with nearly the lowest misfit of a lag that counts
+NEARLY = 1.5  # factor on the lowest misfit that counts as nearly as low
+ROUNDING = 1e-4  # negligible misfit
+DRIFT = 0.15  # s, smallest change of a lag over a recording that indicates drifting clocks; motion changes it less
+STEADY = 0.2  # largest scatter of the windows' lags, as a share of that change
+
+
+class Likeness(NamedTuple):
+    """Similarity of a signal and a reference at many lags.
+
+    Attributes:
+        lags: Lags of the signal [s].
+        correlation: Correlation at each lag, -1 to 1.
+        scale: Scale of the signal relative to the reference.
+        distance: RMS difference in the signals' unit.
+    """
+
+    lags: Float[np.ndarray, "lags"]
+    correlation: Float[np.ndarray, "lags"]
+    scale: Float[np.ndarray, "lags"]
+    distance: Float[np.ndarray, "lags"]
+
+    def between(self, low: float, high: float) -> "Likeness":
+        """Return the similarity at lags from low to high [s]; if there are none, at those closest to low."""
+        kept = (self.lags >= low) & (self.lags <= high)
+        kept = kept if kept.any() else np.abs(self.lags - low) == np.abs(self.lags - low).min()
+        return Likeness(*(values[kept] for values in self))
+
+    @property
+    def best(self) -> int:
+        """Index of the lag with the highest correlation."""
+        return int(np.argmax(self.correlation))
+
+    @property
+    def misfit(self) -> Float[np.ndarray, "lags"]:
+        """Share of the signal's variance that a scaled reference does not explain; above 1 for a negative scale."""
+        return 1 - self.correlation * np.abs(self.correlation)
+
+
+class Drift(NamedTuple):
+    """Change of a lag over a recording.
+
+    Attributes:
+        first: Lag at the start [s].
+        last: Lag at the end [s].
+    """
+
+    first: float
+    last: float
+
+
+def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndarray, "time"]) -> Likeness:
+    """Compare a signal with a reference at all lags up to `FARTHEST`, in the samples of the signal that are `on`.
+
+    Lags at which fewer than half of these samples have a partner are ignored.
+    """
+    signal, reference = signal - signal.mean(), reference - signal.mean()
+    length = scipy.fft.next_fast_len(2 * len(signal) - 1, real=True)
+    weight, ones = on.astype(float), np.ones(len(signal))
+    signals = [scipy.fft.rfft(each, length) for each in (weight, weight * signal, weight * signal**2)]
+    others = [scipy.fft.rfft(each, length).conj() for each in (ones, reference, reference**2)]
+    pairs = [(0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (1, 1)]
+    sums = np.asarray(scipy.fft.irfft(np.stack([signals[s] * others[r] for s, r in pairs]), length))
+    farthest = min(round(FARTHEST / timestep), len(signal) - 1)
+    steps = np.arange(-farthest, farthest + 1)
+    sums = np.take(sums, steps, axis=1, mode="wrap")
+    kept = sums[0] > max(2.0, 0.5 * weight.sum())
+    sum_s, square_s, sum_r, square_r, product = sums[1:, kept] / sums[0, kept]
+    both, variance_s, variance_r = product - sum_s * sum_r, square_s - sum_s**2, square_r - sum_r**2
+    least = 1e-12 * max(float(np.mean(signal**2)), float(np.mean(reference**2)), 1e-300)
+    correlation = both / np.sqrt(np.maximum(variance_s, least) * np.maximum(variance_r, least))
+    distance = np.sqrt(np.maximum(square_s + square_r - 2 * product, 0.0))
+    return Likeness(steps[kept] * timestep, correlation, both / np.maximum(variance_r, least), distance)
+
+
+def find_drift(found: list[tuple[float, float] | None]) -> Drift | None:
+    """Return the drift of a lag over a recording; None if it does not drift.
+
+    Args:
+        found: Time and lag of each window [s]; None for a window without a clear lag.
+    """
+    known = [pair for pair in found if pair is not None]
+    if len(known) < WINDOWS - 1:
+        return None
+    when, lags = np.array(known).T
+    slope, start = np.polyfit(when, lags, 1)
+    scatter = float(np.abs(lags - (start + slope * when)).max())
+    first, last = (float(start + slope * when[at]) for at in (0, -1))
+    return Drift(first, last) if abs(last - first) > max(DRIFT, scatter / STEADY) else None
+
+
+def say_drift(drift: Drift) -> str:
+    """Return the message about a lag that drifts."""
+    return (
+        f"the motion lags ctrl by {1e3 * drift.first:.0f} ms at the start and by {1e3 * drift.last:.0f} ms at "
+        "the end: their clocks drift apart; record both with one clock and name its column (data.columns.time), or cut "
+        "the recording into pieces"
+    )
+
+
+def pick_lag(lags: Float[np.ndarray, "lags"], misfit: Float[np.ndarray, "lags"]) -> float | None:
+    """Return the lag with the lowest misfit [s]; None if distant lags are nearly as good or it lies at an end."""
+    at = int(np.argmin(misfit))
+    near = lags[misfit < NEARLY * misfit[at] + ROUNDING]
+    return None if at in (0, len(lags) - 1) or near.max() - near.min() > SURE else float(lags[at])

@@ -1,0 +1,287 @@
+"""Diagnostics of single signals, and of the measured velocity against the position."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.log import Log
+from frictionzoo.data.signals import (
+    LONGEST_LAG,
+    Signal,
+    derive_velocity,
+    find_outliers,
+    find_quantum,
+    find_velocity_lag,
+    repair_spikes,
+)
+from frictionzoo.diagnostics.findings import Finding, Repair, Said
+from frictionzoo.diagnostics.lags import compare
+
+LAGGING = 0.004  # s, largest accepted lag of a measured velocity
+UNITS = 0.1  # relative deviation of a measured velocity from the derivative above which it is reported
+OTHER_UNITS = 3.0  # factor between them that no filter explains
+UNLIKE = 0.5  # correlation below which a velocity does not belong to the position
+STILL = 5  # encoder steps; a joint with less motion stands still
+NOISE = 0.5  # ratio of steps between samples to spread, relative to white noise, above which a position is noise
+SMOOTH = 0.01  # interpolation error, as a share of the spread, below which a position can judge a velocity
+COARSE = 0.05  # interpolation error, as a share of the spread, above which sampling is too slow
+FROZEN = 20  # repeated samples before a jump that indicate a frozen sensor
+JUMP = 5.0  # factor on the largest usual step between samples that makes a jump
+SPIKE = 0.05  # size of a spike, as a share of the motion
+SHORT = 100  # samples; in shorter recordings, signals are not compared with each other
+SLOWEST, FASTEST = 0.5, 2e-5  # s, plausible sample intervals
+TURNS = 3.0  # a larger range of an angle may be in degrees
+STROKE = 5.0  # m; a larger range of a slide may be in millimetres
+FILLED = 0.1  # smallest share of a joint's limits that a motion in degrees covers
+FAST = 50.0  # m/s, implausible for a slide
+BITS = range(8, 25)  # of encoders, whose step is a turn over a power of two
+EXACT = 0.002  # relative tolerance of such a step
+FACTORS = {180 / math.pi: "deg", 60 / math.tau: "rpm", 1000.0: "mm"}
+
+
+def check_clock(log: Log) -> Iterator[Finding]:
+    """Find implausible sample intervals, which indicate another unit of time."""
+    if not FASTEST <= log.timestep <= SLOWEST:
+        unit = "ms" if log.timestep < 1e3 * SLOWEST else "us"
+        yield Finding(
+            "clock",
+            True,
+            f"{log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s in a drive's recording; set "
+            f"data.units.time{'=' + unit if log.timestep > SLOWEST else ''}, or, if the times are correct, record "
+            "faster or set a shorter data.clean.step",
+            log.name,
+        )
+
+
+def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
+    """Return which samples of a signal are outliers; in `qpos`, spikes within the motion are outliers too."""
+    far = find_outliers(values)
+    if name == "qpos":
+        repaired = repair_spikes(values)
+        far |= np.abs(values - repaired) > SPIKE * np.ptp(repaired)
+    return far
+
+
+def say_outliers(log: Log, what: str, values: Signal, far: Bool[np.ndarray, "time"]) -> str:
+    """Return the message about the outliers of a signal."""
+    at = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
+    return (
+        f"{what} has outliers ({far.sum()}), such as {values[at]:.4g} at {log.time[at]:.4g} s; "
+        "set data.clean.spikes=repair"
+    )
+
+
+def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
+    """Return a signal with outliers replaced by linear interpolation."""
+    kept = np.flatnonzero(~far)
+    return np.interp(np.arange(len(values)), kept, values[kept]) if far.any() else values
+
+
+def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[Said]:
+    """Find faults of the position alone; a certain fault ends the check."""
+    found: Said | None = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
+    if found is None and bench.joint_type == "hinge":
+        found = _find_wrapping(of, qpos)
+    if found is not None:
+        yield found
+        return
+    yield from _find_coarse(of, qpos)
+    yield from _find_frozen(of, qpos)
+
+
+def _find_still(of: str, qpos: Signal, ctrl: Signal) -> tuple[str, bool, str] | None:
+    moved, quantum = float(np.ptp(qpos)), find_quantum(qpos) or 0.0
+    if moved > STILL * quantum and moved > 1e-9 * max(1.0, float(np.abs(qpos).max())):
+        return None
+    return (
+        "still",
+        True,
+        f"qpos{of} moves by {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; "
+        "check whether it was on, and data.columns.qpos",
+    )
+
+
+def _find_noise(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
+    # Steps between samples of white noise have twice its variance, of a motion that is sampled fast almost none.
+    ratio = float(np.std(np.diff(qpos)) / (np.std(qpos) * np.sqrt(2)))
+    if len(qpos) <= 20 or ratio <= NOISE:
+        return None
+    return (
+        "noise",
+        True,
+        f"qpos{of} jumps between samples like noise ({100 * ratio:.0f} % of white noise), expected a motion; check "
+        "data.columns.qpos and the sensor, or record faster, with a data.clean.step no longer than the sample interval",
+    )
+
+
+def _find_wrapping(of: str, qpos: Signal) -> Said | None:
+    steps = np.diff(qpos)
+    turns = np.abs(np.abs(steps) - 2 * np.pi) < 0.1 * np.pi
+    if not turns.any() or np.median(np.abs(steps)) >= 0.1:
+        return None
+    return (
+        "wrapping",
+        True,
+        f"qpos{of} jumps by a whole turn {turns.sum()} times, first at sample {int(np.argmax(turns)) + 1}, "
+        "expected a continuous angle; set data.clean.wrap=6.283185307179586",
+        (Repair("data.clean.wrap", math.tau),),
+    )
+
+
+def _find_coarse(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
+    """Find a motion that neighbouring samples do not predict: it may be aliased."""
+    apart = _apart(qpos)
+    if apart > COARSE:
+        yield (
+            "coarse",
+            False,
+            f"qpos{of} differs from an interpolation of its neighbouring samples by {100 * apart:.0f} % of its spread: "
+            "it is sampled too slowly and may be aliased; record faster, or set a shorter data.clean.step",
+        )
+
+
+def _apart(qpos: Signal) -> float:
+    """Return the RMS error of a cubic interpolation from two samples on either side, as a share of the spread."""
+    if len(qpos) <= 20:
+        return 0.0
+    between = (9 * (qpos[2:-4] + qpos[4:-2]) - (qpos[:-6] + qpos[6:])) / 16
+    return float(np.sqrt(np.mean((qpos[3:-3] - between) ** 2)) / np.std(qpos))
+
+
+def _find_frozen(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
+    """Find a position that stays constant and then jumps."""
+    steps, quantum = np.abs(np.diff(qpos)), find_quantum(qpos) or 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0, [False]]).astype(int)))
+    usual = float(np.quantile(steps, 0.99))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        if last - first >= FROZEN and last < len(steps) and steps[last] > max(JUMP * usual, 3 * quantum):
+            yield (
+                "frozen",
+                False,
+                f"qpos{of} is constant from sample {first} on and jumps by {steps[last]:.3g} at sample {last + 1}: "
+                "the sensor seems to freeze; cut this part out of the recording",
+            )
+            return
+
+
+def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[tuple[str, bool, str]]:
+    """Find an angle that seems to be in degrees, by its range, the encoder step and the limits of the file."""
+    span, low, high = float(np.ptp(qpos)), *limits
+    degrees = np.radians(qpos)
+    if span <= TURNS * math.tau and not high - low < span:
+        return
+    beyond = float(np.mean((qpos < low) | (qpos > high)))
+    inside = bool(((degrees >= low) & (degrees <= high)).all()) and beyond > 0.5
+    inside = inside and float(np.ptp(degrees)) > FILLED * (high - low)
+    quantum = find_quantum(qpos)
+    counts = quantum is not None and _is_step(quantum, 360.0) and not _is_step(quantum, math.tau)
+    if span <= TURNS * math.tau and not (inside and counts):
+        return
+    why = (["its encoder step divides 360"] if counts else []) + (
+        ["only as degrees it is within the joint's limits"] if inside else []
+    )
+    yield (
+        "degrees",
+        bool(why),
+        f"qpos{of} spans {span / math.tau:.3g} turns{'; ' + ', '.join(why) if why else ''}: it looks like degrees; set "
+        "data.units.qpos=deg (also for qvel and a desired position), or, if measured before a gear, the gear ratio, as "
+        "in data.units.qpos=0.02",
+    )
+
+
+def _is_step(quantum: float, turn: float) -> bool:
+    bits = math.log2(turn / quantum) if quantum > 0 else 0.0
+    return round(bits) in BITS and abs(turn / 2 ** round(bits) / quantum - 1) < EXACT
+
+
+def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, bool, str]]:
+    """Find a slide with an implausible range or speed."""
+    span, speed = float(np.ptp(qpos)), float(np.quantile(np.abs(qvel), 0.99))
+    if span > STROKE or speed > FAST:
+        yield (
+            "stroke",
+            speed > FAST,
+            f"qpos{of} moves by {span:.3g} m at up to {speed:.3g} m/s: it looks like millimetres; set "
+            "data.units.qpos=mm (also for qvel and a desired position)",
+        )
+
+
+def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[Said]:
+    """Compare the measured velocity of a joint that moves with the derivative of its position."""
+    estimate, repairs = "set data.clean.velocity=estimated", (Repair("data.clean.velocity", "estimated"),)
+    if joint in log.without_velocity:
+        if not log.velocity_estimated:
+            other = "if another column has it, set data.columns.qvel"
+            yield "velocity", False, f"the recorded velocity{of} is not used, but estimated from qpos; {other}"
+        return
+    if not np.ptp(qvel) > 0:
+        yield (
+            "velocity",
+            True,
+            f"qvel{of} is constant, expected the velocity of a joint that moves; {estimate}",
+            repairs,
+        )
+        return
+    found = find_velocity_lag(log.time, qpos, qvel)
+    if found is None and find_velocity_lag(log.time, qpos, -qvel) is not None:
+        yield (
+            "velocity sign",
+            True,
+            f"qvel{of} and the position's derivative have opposite signs, expected the same; set data.sign.qvel=-1, or "
+            "data.sign.qpos=-1 if that suits the command",
+        )
+    elif found is None and len(qpos) > SHORT:
+        derived = derive_velocity(log.time, qpos)
+        length = min(len(derived), len(qvel))
+        beside = compare(qvel[:length], derived[:length], log.timestep, np.ones(length, bool))
+        alike = beside.between(-LONGEST_LAG, LONGEST_LAG).correlation.max()
+        # If a joint hardly moves, both are noise.
+        yield (
+            "velocity",
+            bool(alike < UNLIKE and _apart(qpos) < SMOOTH),
+            f"qvel{of} does not match the position's derivative: check for swapped columns (data.columns.qvel), "
+            f"or {estimate}",
+            repairs,
+        )
+    elif found is not None:
+        yield from _find_late_velocity(log, of, found[0])
+        yield from _find_velocity_unit(of, found[1])
+
+
+def _find_late_velocity(log: Log, of: str, lag: float) -> Iterator[Said]:
+    if abs(lag) > max(LAGGING, 0.75 * log.timestep):
+        late, other = ("qvel", "qpos") if lag > 0 else ("qpos", "qvel")
+        yield (
+            "lag",
+            False,
+            f"{late}{of} lags {other} by {1e3 * abs(lag):.3g} ms; set data.clean.velocity_lag=auto or "
+            f"data.clean.velocity=estimated{', and identify bench.params.delay' if late == 'qpos' else ''}",
+            (Repair("data.clean.velocity_lag", "auto") if lag > 0 else Repair("data.clean.velocity", "estimated"),),
+        )
+
+
+def _find_velocity_unit(of: str, scale: float) -> Iterator[Said]:
+    if abs(scale - 1) > UNITS:
+        other = _suggest(scale)
+        yield (
+            "units",
+            not 1 / OTHER_UNITS < scale < OTHER_UNITS,
+            f"qvel{of} is {scale:.4g} times the position's derivative: check the units of time, qpos and qvel "
+            f"(data.units{other}), or set data.clean.velocity=estimated",
+            () if other else (Repair("data.clean.velocity", "estimated"),),
+        )
+
+
+def _suggest(scale: float) -> str:
+    """Return the unit option that explains a velocity of `scale` times the position's derivative; empty if none."""
+    for factor, unit in FACTORS.items():
+        if abs(scale / factor - 1) < UNITS:
+            return f", such as data.units.qvel={unit}{'' if unit == 'rpm' else '/s'}" + (
+                " or data.units.time=ms" if unit == "mm" else ""
+            )
+        if abs(scale * factor - 1) < UNITS and unit != "rpm":
+            return f", such as data.units.qpos={unit}"
+    return ""

@@ -1,0 +1,58 @@
+"""Limits of position, velocity and torque derived from recordings."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.bench.torque import actuator_torque, stall_torque
+from frictionzoo.core.log import Log
+
+_USUAL = 0.999  # quantile of the samples within a limit: samples beyond may be outliers
+_DIGITS = 3  # digits of a limit
+
+
+def usual_inputs(bench: Bench, logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Return the median inputs of the actuator model, without feed-forward commands.
+
+    Args:
+        bench: The test stand.
+        logs: Logs accepted by the bench.
+    """
+    law = bench.actuator
+    fed = set(law.commands) & set(law.optional_inputs)
+    names = [name for name in law.inputs if name not in fed]
+    return {name: np.median(np.concatenate([log.inputs[name] for log in logs]), axis=0) for name in names}
+
+
+def recorded_limits(bench: Bench, values: Mapping[str, Any], logs: Sequence[Log]) -> dict[str, Any]:
+    """Return the limits `position`, `velocity` and `torque` of each joint as options of `frictionzoo.design`.
+
+    No limit exceeds the recorded motion. The torque is the identified actuator's at the recorded states, at most its
+    torque at standstill. All limits are rounded down in magnitude.
+
+    Args:
+        bench: The test stand.
+        values: Identified values of the bench's parameters, each of shape (nv,).
+        logs: Training logs accepted by the bench.
+    """
+    qpos = np.concatenate([log.qpos for log in logs])
+    low, high = (np.quantile(qpos, share, axis=0) for share in (1 - _USUAL, _USUAL))
+    velocity = np.quantile(np.abs(np.concatenate([log.qvel for log in logs])), _USUAL, axis=0)
+    used = np.quantile(np.abs(np.concatenate([actuator_torque(bench, log, values) for log in logs])), _USUAL, axis=0)
+    inputs = {name: np.zeros(bench.nv) for name in bench.actuator.inputs} | usual_inputs(bench, logs)
+    torque = np.minimum(used, stall_torque(bench, values, inputs, (low + high) / 2))
+    pairs = [[-round_down(-a), round_down(b)] for a, b in zip(low, high, strict=True)]
+    found = {"position": pairs, "velocity": list(map(round_down, velocity)), "torque": list(map(round_down, torque))}
+    return found if bench.nv > 1 else {name: each[0] for name, each in found.items()}
+
+
+def round_down(value: float) -> float:
+    """Round down to three significant digits."""
+    if not np.isfinite(value) or value == 0:
+        return float(value)
+    decimals = _DIGITS - 1 - int(np.floor(np.log10(abs(value))))
+    nearest = round(float(value), decimals)
+    return nearest if nearest <= value else round(nearest - 10.0**-decimals, decimals)

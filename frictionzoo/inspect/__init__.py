@@ -1,1 +1,0 @@
-"""Diagnostics of a data set before a fit: `python -m frictionzoo.inspect data=...`."""

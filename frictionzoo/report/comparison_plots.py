@@ -1,0 +1,317 @@
+"""Figures of several runs: the paper's figures 3 to 6, and further comparisons.
+
+Each run has one colour and dash pattern in all figures.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.report.colors import BASELINE, BEST, GRID, RUNS, SOFT
+from frictionzoo.report.figure import (
+    FLATTENED,
+    Axis,
+    Band,
+    Bars,
+    Curve,
+    Dash,
+    Figure,
+    Mark,
+    Panel,
+    Stripe,
+    scale_errors,
+    scale_values,
+)
+from frictionzoo.report.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above, say_where
+from frictionzoo.report.run_plots import REPORTED
+from frictionzoo.report.text import format_digits, format_number, format_unit, wrap
+from frictionzoo.result.comparison.runs import Run
+from frictionzoo.result.comparison.statistics import MATTERS
+from frictionzoo.result.comparison.types import Comparison, PairRow
+from frictionzoo.result.names import pick_value, place_between_bounds
+from frictionzoo.result.types import MetricsRow, ParameterRow
+
+# Seven dash patterns and six colours: each combination occurs once in 42 runs, and neighbours differ in both.
+_BROKEN: tuple[Dash, ...] = ((6.0, 2.0, 1.2, 2.0), (3.5, 1.3, 1.2, 1.3, 1.2, 1.3), (9.0, 3.0), (2.4, 3.5))
+DASHES: tuple[Dash, ...] = ((), (5.0, 2.0), (1.2, 1.6), *_BROKEN)
+# Markers of parameters in a grid search.
+MARKERS = ("circle", "x", "triangle-up", "cross", "square", "triangle-down", "diamond")
+FRAME = 4.0  # largest difference on the axis, relative to the median one; larger ones are labelled at the edge
+ROW, LINE = 28, 17  # px for each run in figures with one row per run, and for each line of its label
+
+Look = Mapping[str, Any]
+"""Attributes shared by the marks of one run: name, index, colour and dash."""
+
+
+def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[str, Look]:
+    """Return the look of each run by label; labels are ordered best first.
+
+    The reference (no friction) has the colour of "no friction" on a run's page; no other run has that colour.
+    """
+    labels = list(labels)
+    colors = [color for color in RUNS if color != BASELINE] if reference in labels else RUNS
+    places = {label: i for i, label in enumerate(each for each in labels if each != reference)}
+    styles = {label: (colors[i % len(colors)], DASHES[i % len(DASHES)]) for label, i in places.items()}
+    styles[reference or ""] = BASELINE, DASHES[-1]
+    return {
+        label: {"name": label, "run": i, "color": styles[label][0], "dash": styles[label][1]}
+        for i, label in enumerate(labels)
+    }
+
+
+def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
+    """Return all figures of several runs by name; an empty list if there is nothing to show."""
+    named = {run.label: run for run in runs}
+    ranked = [named[entry["label"]] for entry in comparison["runs"]]
+    speed = Axis("mean absolute speed", comparison["velocity_unit"])
+    load = Axis("mean absolute motor torque", comparison["torque_unit"])
+    return {
+        "parameters": list(_plot_parameters(comparison, ranked)),
+        "mae": [_plot_errors(comparison)],
+        "differences": [_plot_differences(comparison)] if len(runs) > 1 else [],
+        "trajectories": list(_plot_trajectories(comparison, ranked)),
+        "error": [_plot_error(comparison, ranked)],
+        "by_horizon": [_plot_by_horizon(comparison)],
+        "by_speed": [_plot_by_bin(comparison, "by_speed", "Error by speed", speed)],
+        "by_load": [_plot_by_bin(comparison, "by_load", "Error by load", load)],
+        "autocorrelation": [_plot_autocorrelation(comparison)],
+        "friction": list(_plot_friction(comparison)),
+        "loss": [_plot_loss(comparison, ranked)],
+    }
+
+
+def _looks(comparison: Comparison) -> dict[str, Look]:
+    return choose_looks((run["label"] for run in comparison["runs"]), comparison["reference"])
+
+
+def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
+    """Return values from JSON as an array, NaN for null."""
+    return np.array(list(values), dtype=np.float64)
+
+
+def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
+    """Yield figure 3 for each run with parameters and each joint: parameters over the iterations of the fit.
+
+    Parameters have different units, so the axis is the position between the bounds of the fit.
+    For a grid search, points show each combination that was better than all before it.
+    """
+    joints, looks = comparison["joints"], _looks(comparison)
+    for run in (run for run in runs if _identified(run)):
+        for joint, name in enumerate(joints):
+            where = f", {name}" if len(joints) > 1 else ""
+            network = f" ({run.result['network']['weights']} weights not shown)" if run.result["network"] else ""
+            grid = run.result["fit"]["method"] == "grid"
+            marks = _draw_parameters(run, name, joint, looks[run.label]["color"])
+            first, last = (float(end) for end in run.curves.history["iteration"][[0, -1]])
+            room = 0.02 * (last - first) + 0.5
+            x = Axis("combination" if grid else "iteration", limits=(first - room, last + room))
+            yield Figure(f"{run.label}{where}{network}", "", (Panel(marks, x, Axis("between the bounds", "%")),))
+
+
+def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
+    """Return one line per parameter of a joint, and marks at the reported values."""
+    history, fit = run.curves.history, run.result["fit"]
+    grid, best = fit["method"] == "grid", float(fit["best_iteration"])
+    loss = np.where(np.isnan(history["loss"]), np.inf, history["loss"])
+    better = np.flatnonzero(loss < np.concatenate([[np.inf], np.minimum.accumulate(loss)[:-1]]))
+    shown = better if grid else slice(None)
+    iteration = history["iteration"][shown].astype(np.float64)
+    marks: list[Mark] = [Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))]
+    for i, (key, parameter) in enumerate(_identified(run).items()):
+        if (row := pick_value(parameter, name)) is None:
+            continue
+        curve = np.reshape(history[key], (len(history["iteration"]), -1))[shown, joint].astype(np.float64)
+        curve, reached = (100 * place_between_bounds(row, values) for values in (curve, np.array([row["value"]])))
+        points = {"width": 0.0, "marker": MARKERS[i % len(MARKERS)], "size": 5.0}
+        look: dict[str, Any] = points if grid else {"dash": DASHES[i % len(DASHES)]}
+        said = f"{parameter['name']} = {row['value']:.4g} {format_unit(parameter['unit'])}".rstrip()
+        marks.append(Curve(x=iteration, y=curve, name=said, color=color, **look))
+        marks.append(Curve(x=np.array([best]), y=reached, **REPORTED))
+    return marks
+
+
+def _identified(run: Run) -> dict[str, ParameterRow]:
+    """Return the identified parameters that have a history, by their names in it."""
+    parameters = {f"{parameter['owner']}.{parameter['name']}": parameter for parameter in run.result["parameters"]}
+    return {key: value for key, value in parameters.items() if value["identified"] and key in run.curves.history}
+
+
+def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
+    """Yield figure 4 for each joint: measured and simulated position and velocity in the first long test rollout."""
+    drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
+    duration = timestep * (runs[0].curves.measured_qpos.shape[1] - 1)
+    for joint, name in enumerate(comparison["joints"]):
+        panels = draw_motion(drives, joint, timestep, (comparison["unit"], comparison["velocity_unit"]))
+        place = say_where(comparison["data"], runs[0].curves, 0) or "test data"
+        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of {place}. "
+        text += "The command is the same for all runs."
+        yield Figure(f"Trajectory of {name}", text, panels, time=True)
+
+
+def _list_drives(comparison: Comparison, runs: Sequence[Run]) -> list[Drive]:
+    looks, reference = _looks(comparison), comparison["reference"]
+    return [Drive(run.curves, looks[run.label], reference=run.label == reference) for run in runs]
+
+
+def _plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
+    """Return figure 5: moving mean +- one standard deviation of the position error in the first long test rollout."""
+    window = runs[0].result["evaluation"]["window"]
+    text = f"Moving mean over {window:g} s of the absolute position error in the same rollout. "
+    text += "Band: one standard deviation, for the selected run."
+    drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
+    (panel,) = draw_errors([drives], timestep, window, comparison["unit"])
+    return Figure("Error over time", text, (panel,), time=True)
+
+
+def _plot_errors(comparison: Comparison) -> Figure:
+    """Return figure 6: MAE and sigma on test and training data, two bars per run."""
+    entries, unit, looks = comparison["runs"], comparison["unit"], _looks(comparison)
+    key, ends = {"at": np.zeros(1), "length": np.full(1, np.nan), "notes": ("",)}, [0.0]
+    marks: list[Mark] = []
+    for part, offset in (("test", -0.2), ("train", 0.2)):
+        shared: dict[str, Any] = {"width": 0.38, "pale": part == "train"}
+        marks.append(Bars(name=part, color=SOFT, **key, **shared))  # for the legend
+        for i, entry in enumerate(entries):
+            mean, spread = (_numbers([entry[part][key]]) for key in ("position_mae", "position_mae_std"))
+            said = (f"{part} {_say_error(entry[part])}",)
+            bar = {"at": np.array([i + offset]), "length": mean, "spread": spread, "notes": said}
+            marks.append(Bars(**bar, **shared, **looks[entry["label"]]))
+            ends.append(float((mean + spread)[0]))
+    labels, x = [*looks], Axis("position MAE", unit, limits=(0.0, 1.05 * _limit(np.array(ends), FLATTENED)))
+    text = (
+        f"Bars: position MAE on test data [{unit}]; whiskers: its sigma; pale: training data. "
+        f"From {format_number(entries[0]['test']['position_mae'])} ({labels[0]}) to "
+        f"{format_number(entries[-1]['test']['position_mae'])} ({labels[-1]})."
+    )
+    return _arrange_rows("Error of each run", text, marks, x, labels)
+
+
+def _say_error(metrics: MetricsRow) -> str:
+    mean, spread = metrics["position_mae"], metrics["position_mae_std"]
+    if mean is None or spread is None:
+        return "all diverged"
+    lost = f", {metrics['diverged']} of {metrics['rollouts']} diverged" if metrics["diverged"] else ""
+    return f"{format_digits(mean, 3)} ± {format_digits(spread, 2)}{lost}"
+
+
+def _limit(sizes: Float[np.ndarray, "rows"], widest: float) -> float:
+    """Return the largest size that is at most `widest` times the median: larger ones would flatten the others."""
+    sizes = np.sort(sizes[np.isfinite(sizes) & (sizes > 0)])
+    return float(sizes[sizes <= widest * sizes[(len(sizes) - 1) // 2]][-1]) if len(sizes) else 1.0
+
+
+def _arrange_rows(title: str, text: str, marks: Sequence[Mark], x: Axis, labels: Sequence[str]) -> Figure:
+    """Return a figure with one row per run, the best at the top."""
+    y = Axis(ticks=tuple(labels), limits=(len(labels) - 0.4, -0.6))
+    row = max(ROW, LINE * max(len(wrap(label, 28)) for label in labels))
+    return Figure(title, text, (Panel(marks, x, y),), height=110 + row * max(3, len(labels)))
+
+
+def _plot_differences(comparison: Comparison) -> Figure:
+    """Return the difference of each run's test error to the best run's, with its interval from the paired bootstrap."""
+    looks, unit = _looks(comparison), comparison["unit"]
+    labels = [*looks]
+    pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == labels[0]}
+    marks: list[Mark] = [Stripe(low=0.0, high=0.0, color=SOFT)]
+    for i, label in enumerate(labels):
+        pair = pairs.get(label)
+        marker = "diamond" if pair is None else "circle-open" if pair["verdict"] == "noise" else "circle"
+        x, *ends = (_numbers([pair[key] if pair else 0.0]) for key in ("mean", "low", "high"))
+        said = _say_difference(pair) if pair else "best"
+        point = {"width": 0.0, "marker": marker, "size": 10.0, "notes": (said,)}
+        marks.append(Curve(x=x, y=np.array([float(i)]), ends=np.array(ends), **looks[label], **point))
+    text = (
+        f"Difference to {labels[0]} with its 95 % interval, from a paired bootstrap over "
+        f"{comparison['evaluation']['rollouts']} test rollouts. Open circles: noise, the interval contains 0 or the "
+        f"difference is below {100 * MATTERS:g} % of the error."
+    )
+    low, high = (np.array([0.0, *_numbers(pair[end] for pair in pairs.values())]) for end in ("low", "high"))
+    limit = _limit(np.maximum(-low, high), FRAME)
+    limits = 1.1 * max(-limit, min(np.nanmin(low), -0.1 * limit)), 1.1 * limit
+    above = Axis("MAE above the best", unit, limits=limits)
+    return _arrange_rows("Differences to the best run", text, marks, above, labels)
+
+
+def _say_difference(pair: PairRow) -> str:
+    known = [format_digits(end, 2) for end in (pair["mean"], pair["low"], pair["high"]) if end is not None]
+    said = f"{known[0]} [{known[1]}, {known[2]}]" if len(known) == 3 else "diverged"
+    return f"{said}, {pair['verdict']}"
+
+
+def _plot_by_horizon(comparison: Comparison) -> Figure:
+    """Return the error over the first seconds of the long test rollouts."""
+    rollouts, horizon = comparison["evaluation"]["long_rollouts"], comparison["evaluation"]["long_horizon"]
+    text = f"Mean position error over the first seconds of {rollouts} test rollouts of {horizon:g} s."
+    panel = _draw_errors_over(comparison, "by_horizon", Axis("horizon", "s"))
+    return Figure("Error by horizon", text, (panel,))
+
+
+def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"], title: str, axis: Axis) -> Figure:
+    """Return the error of short test rollouts over their measured speed or load."""
+    windows = comparison[section]["windows"]
+    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label} with"
+    return Figure(title, f"{text} equal counts.", (_draw_errors_over(comparison, section, axis, "circle"),))
+
+
+def _draw_errors_over(
+    comparison: Comparison, section: Literal["by_horizon", "by_speed", "by_load"], axis: Axis, marker: str = ""
+) -> Panel:
+    x = _numbers(comparison["by_horizon"]["horizon"] if section == "by_horizon" else comparison[section]["centre"])
+    errors = {label: _numbers(values) for label, values in comparison[section]["position_mae"].items()}
+    points: dict[str, Any] = {"marker": "circle" if len(x) == 1 else marker, "size": 5.0}
+    marks = [Curve(x=x, y=errors[label], **points, **look) for label, look in _looks(comparison).items()]
+    y = scale_errors("position MAE", comparison["unit"], list(errors.values()), (), RUNAWAY)
+    shown = replace(axis, limits=(0.0, 1.02 * float(x.max(initial=0.0)) or 1.0))
+    return Panel(marks, shown, y, say_above(marks, y))
+
+
+def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
+    """Yield the friction curve of each joint; with a band if friction depends on more than the velocity."""
+    for joint, name in enumerate(comparison["joints"]):
+        marks: list[Mark] = [Stripe(low=0.0, high=0.0, level=True, color=GRID)]
+        for label, look in _looks(comparison).items():
+            law = comparison["friction"][label]
+            torque, low, high = (_numbers(law[part][joint]) for part in ("torque", "low", "high"))
+            velocity = _numbers(law["velocity"])
+            if np.isfinite([low, high]).all() and not np.array_equal(low, high):
+                marks.append(Band(x=velocity, low=low, high=high, **look))
+            marks.append(Curve(x=velocity, y=torque, **look))
+        x, y = Axis("velocity", comparison["velocity_unit"]), Axis("friction", comparison["torque_unit"])
+        text = f"Friction torque of each run at joint {name}, opposing the velocity. If it depends on more than the "
+        text += "velocity, the curve is the median over recorded states and the band contains 80 % of them."
+        yield Figure(f"Friction of {name}", text, (Panel(marks, x, y),))
+
+
+def _plot_autocorrelation(comparison: Comparison) -> Figure:
+    """Return the autocorrelation of the errors, with the band in which white noise lies."""
+    section = comparison["autocorrelation"]
+    lag, band = _numbers(section["lag"]), section["band"]
+    noise = {"level": True, "name": "white noise, 95 %", "color": SOFT, "opacity": 0.3}
+    left = ((look, section["coefficient"][label]) for label, look in _looks(comparison).items())
+    curves = [Curve(x=lag, y=_numbers(coefficient), **look) for look, coefficient in left]
+    text = "Autocorrelation of the position error: a complete model leaves white noise, within the grey "
+    text += f"band (±{band:.2g}). Mean over {comparison['evaluation']['long_rollouts']} long test rollouts."
+    marks = [Stripe(low=-band, high=band, **noise), *curves]
+    panel = Panel(marks, Axis("lag", "s"), Axis("autocorrelation of the error", "1"))
+    return Figure("Autocorrelation of the error", text, (panel,))
+
+
+def _plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
+    """Return the training loss of every fit, with the reported iteration marked."""
+    marks: list[Curve] = []
+    looks = _looks(comparison)
+    for run in runs:
+        fit, history, look = run.result["fit"], run.curves.history, looks[run.label]
+        iteration, loss = history["iteration"].astype(np.float64), history["loss"]
+        loss = np.fmin.accumulate(loss) if fit["method"] == "grid" else loss
+        at = iteration == fit["best_iteration"]
+        marks.append(Curve(x=iteration, y=loss, **look))
+        marks.append(Curve(x=iteration[at], y=loss[at], **{**REPORTED, **look, "name": ""}))
+    text = "Training loss over the iterations; the reported iteration is marked. Grid search: lowest loss so far."
+    if any(entry["option"].startswith(("loss.", "segments.")) for entry in comparison["differences"]):
+        text += " Runs with different segments or losses are not comparable here."
+    y = scale_values("training loss", "", np.concatenate([mark.y for mark in marks]), apart=10.0)
+    return Figure("Training loss", text, (Panel(marks, Axis("iteration"), y),))

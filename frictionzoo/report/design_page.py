@@ -1,0 +1,229 @@
+"""`report.html`: a designed command on one self-contained page, beginning with the expected accuracy."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo import __version__
+from frictionzoo.bench.limits import Motion
+from frictionzoo.core.anonymous import list_paths, list_paths_in, without_paths
+from frictionzoo.core.output import write_atomically
+from frictionzoo.core.telling import say_percent
+from frictionzoo.diagnostics.check import Check
+from frictionzoo.report.colors import BASELINE, BEST, MODEL
+from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe, frame
+from frictionzoo.report.page import render_page
+from frictionzoo.report.run_page import LEAST, MOST
+
+LINKS = {
+    "known": "What will be known",
+    "limits": "Limits",
+    "motion": "Motion",
+    "record": "How to record",
+    "search": "How it was found",
+    "files": "Files",
+}
+"""Headings of the sections, by id."""
+FILES = {  # descriptions of the files in the page's folder
+    "excitation.json": "all numbers of this page as JSON",
+    "command.csv": "the command at each sample",
+    "expected.csv": "the same with the motion that is expected: a log",
+    "trajectory.yaml": "the command for ROS 2",
+    "actions.json": "the command for LeRobot",
+}
+PUBLISH = (  # the same command as in docs/design.md
+    "ros2 topic pub --once /joint_trajectory_controller/joint_trajectory trajectory_msgs/msg/JointTrajectory "
+    '"$(cat trajectory.yaml)"'
+)
+WIDE = 0.5  # largest half interval, as a share of the value, that counts as known
+ROOM = 4.0  # limits that span more than this many times the motion are outside the frame
+_DASH = (4.0, 3.0)
+_QUANTITIES = ("position", "velocity", "torque")
+
+
+def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Motion) -> None:
+    """Write the page of a command.
+
+    Args:
+        path: Path of the page, in the command's folder.
+        note: Content of `excitation.json`.
+        interval: Time between samples [s].
+        motion: The command and its expected motion.
+
+    Raises:
+        OutputError: The page cannot be written.
+    """
+    # A page that is passed on must not contain personal paths.
+    paths = {*list_paths(dict(note)), *(path for step in note["next"] for path in list_paths_in(step["command"]))}
+    note = without_paths(dict(note), paths, note["joints"], Path.cwd())
+    joints = list(range(len(note["joints"])))
+    sections = {
+        "motion": [_plot_motion(note, interval, motion, joint) for joint in joints],
+        "phase": [_plot_phase(note, motion, joint) for joint in joints],
+        "spectrum": [_plot_spectrum(note, interval, motion, joint) for joint in joints],
+    }
+    page = render_page(
+        "report/design.html.jinja",
+        sections,
+        list(check_command(note)),
+        points=max(LEAST, MOST // len(joints)),
+        note=note,
+        headline=_say_headline(note),
+        parameters=_group_parameters(note),
+        joints=_list_joints(note),
+        links=LINKS,
+        publish=PUBLISH,
+        wide=WIDE,
+        files={name: text for name, text in FILES.items() if name in ("excitation.json", *note["files"])},
+        version=__version__,
+    )
+    write_atomically(path, page)
+
+
+def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
+    """Yield the checks of the command; `note` is the content of `excitation.json`."""
+    unknown = [row["name"] for row in note["parameters"] if not row["identifiable"]]
+    used = max(note["limits"], key=lambda row: row["share"])
+    most = f"the {used['quantity']}{_of_joint(note, used['joint'])}, {100 * used['share']:.0f} % of its limit"
+    if unknown:
+        text = f"Not identifiable by this command: {', '.join(unknown)}. Most is taken of {most}. State such a value as"
+        yield Check("caution", "Parameters", f"{text} known, take a law without it, or allow and record more.")
+    else:
+        yield Check("good", "Parameters", f"Each of the {len(note['parameters'])} parameters will be known.")
+    rows = [row for row in note["parameters"] if None not in (row["share"], row["share_now"])]
+    if known := [row["name"] for row in rows if row["share_now"] <= row["share"]]:
+        text = f"The run knows {', '.join(known)} as well already: design a longer command (seconds), with longer"
+        yield Check(
+            "caution", "Gain", f"{text} segments (segments.length), or in wider limits; or fit both recordings."
+        )
+    yield Check("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {most}.")
+    noise, unit = note["noise"], {row["quantity"]: row["unit"] for row in note["limits"]}
+    text = (
+        f"Noise alone is foreseen: an encoder step of {noise['quantum']:.3g} {unit['position']}, position noise of "
+        f"{noise['position_noise']:.3g} {unit['position']} and velocity noise of {noise['velocity_noise']:.3g} "
+        f"{unit['velocity']}. Half the noise, half the interval. What the law lacks, and a delay or a mass that is "
+        "wrong, are not foreseen."
+    )
+    yield Check("note", "Noise", text)
+    source = f"those of the run {note['run']}" if note["run"] else "initial values, not of a fit"
+    text = f"The values of the drive are {source}: a design is as good as they are. Fit, and design again."
+    yield Check("note", "Values", text)
+
+
+def _of_joint(note: Mapping[str, Any], joint: str) -> str:
+    return f" of {joint}" if len(note["joints"]) > 1 else ""
+
+
+def _say_headline(note: Mapping[str, Any]) -> str:
+    """Describe the length of the command, and how many parameters it determines and how accurately."""
+    rows = [row for row in note["parameters"] if row["identifiable"] and row["share"] is not None]
+    command, count = note["command"], len(note["parameters"])
+    known = sum(row["identifiable"] for row in note["parameters"])
+    text = f"{command['seconds']:g} s at {command['rate']:g} samples/s, after which {known} of {count} parameters "
+    text += f"of {note['model']} will be known"
+    if not rows:
+        return f"{text}."
+    best, worst = (choose(rows, key=lambda row: row["share"]) for choose in (min, max))
+    said = f"{best['name']} to ± {say_percent(best['share'])}"
+    return f"{text}: {said}, the best, {worst['name']} to ± {say_percent(worst['share'])}, the worst."
+
+
+def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Group rows by parameter; each row is a joint, or joints that share the value."""
+    grouped: dict[str, list[Any]] = {}
+    for row in note["parameters"]:
+        full, _, joint = row["name"].partition("/")
+        grouped.setdefault(full, []).append({**row, "joint": joint})
+    found = []
+    for full, rows in grouped.items():
+        owner, _, name = full.partition(".")
+        shares = sorted(row["share"] for row in rows if row["identifiable"] and row["share"] is not None)
+        ends = dict.fromkeys(say_percent(share) for share in (*shares[:1], *shares[-1:]))
+        unknown = sum(not row["identifiable"] for row in rows)
+        whose = "not identifiable" if len(rows) == 1 else f"{unknown} of {len(rows)} not identifiable"
+        shown = {"name": name, "owner": owner, "rows": rows, "known": f"± {' to '.join(ends)}" if ends else ""}
+        found.append({**shown, "doubt": whose if unknown else ""})
+    return found
+
+
+def _list_joints(note: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """List the joints with their use of the limits; the joint with the largest share is unfolded."""
+    rows = {joint: [row for row in note["limits"] if row["joint"] == joint] for joint in note["joints"]}
+    shares = {joint: max(own, key=lambda row: row["share"]) for joint, own in rows.items()}
+    most = max(shares, key=lambda joint: shares[joint]["share"])
+    return [{"name": j, "limits": own, "most": shares[j], "open": j == most} for j, own in rows.items()]
+
+
+def _find_limits(note: Mapping[str, Any], joint: int) -> dict[str, Any]:
+    name = note["joints"][joint]
+    return {row["quantity"]: row for row in note["limits"] if row["joint"] == name}
+
+
+def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
+    """Plot command and motion of one joint over time, with limits: position, velocity and torque."""
+    limits, time = _find_limits(note, joint), interval * np.arange(len(motion.ctrl))
+    commanded = {"position": motion.ctrl, "velocity": motion.speed}
+    expected = {"position": motion.qpos, "velocity": motion.qvel, "torque": motion.torque}
+    panels, outside = [], []
+    for quantity in _QUANTITIES:
+        curves = {"expected": expected[quantity][:, joint]}
+        if quantity in commanded:
+            curves = {"command": commanded[quantity][:, joint], **curves}
+        axis, shown = _scale(limits[quantity], quantity, list(curves.values()))
+        outside += [] if shown else [quantity]
+        colors = {"command": BASELINE, "expected": MODEL}
+        marks: list[Mark] = [*_draw_limits(limits[quantity], level=True)]
+        marks += [Curve(x=time, y=curve, name=name, color=colors[name]) for name, curve in curves.items()]
+        panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis))
+    said = ", ".join(_say_reached(limits[quantity]) for quantity in _QUANTITIES)
+    text = (
+        f"Command of {note['joints'][joint]}, and what MuJoCo C expects of it; dashed: the limits. It reaches {said}."
+    )
+    text += f" Outside the frame: the limits of {' and '.join(outside)}." if outside else ""
+    return Figure(f"Motion of {note['joints'][joint]}", text, tuple(panels), height=620)
+
+
+def _say_reached(row: Mapping[str, Any]) -> str:
+    low, high = row["reached"]
+    return f"{low:.3g} to {high:.3g} {row['unit']}"
+
+
+def _draw_limits(row: Mapping[str, Any], level: bool) -> Iterator[Mark]:
+    for end in row["allowed"]:
+        yield Stripe(low=end, high=end, level=level, color=BEST, dash=_DASH)
+
+
+def _scale(row: Mapping[str, Any], quantity: str, curves: Sequence[Float[np.ndarray, "samples"]]) -> tuple[Axis, bool]:
+    """Return an axis, and whether it includes the limits; it leaves them out if they would flatten the motion."""
+    moved, ends = np.concatenate(curves), np.array(row["allowed"])
+    near = bool(np.ptp(ends) <= ROOM * np.ptp(moved))
+    return Axis(quantity, row["unit"], limits=frame([np.concatenate([moved, ends]) if near else moved])), near
+
+
+def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
+    """Plot expected velocity over position of one joint, with limits."""
+    limits, name = _find_limits(note, joint), note["joints"][joint]
+    position, velocity = motion.qpos[:, joint], motion.qvel[:, joint]
+    x, _ = _scale(limits["position"], "position", [position])
+    y, _ = _scale(limits["velocity"], "velocity", [velocity])
+    marks: list[Mark] = [*_draw_limits(limits["position"], level=False), *_draw_limits(limits["velocity"], level=True)]
+    marks.append(Curve(x=position, y=velocity, name="expected", color=MODEL, width=1.2, legend=False))
+    text = f"Expected velocity over position of {name}; dashed: the limits, where they are near. What the motion does "
+    return Figure(f"Phase plot of {name}", f"{text}not visit, the recording does not tell of.", (Panel(marks, x, y),))
+
+
+def _plot_spectrum(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
+    """Plot the amplitude spectrum of the commanded velocity of one joint."""
+    name, unit = note["joints"][joint], _find_limits(note, joint)["velocity"]["unit"]
+    speed = motion.speed[:, joint]
+    frequency = np.fft.rfftfreq(len(speed), interval)
+    shown = frequency <= 1.2 * note["command"]["bandwidth"]
+    amplitude = 2 * np.abs(np.fft.rfft(speed))[shown] / len(speed)
+    look: dict[str, Any] = {"upright": True, "color": MODEL, "legend": False}
+    bars = Bars(at=frequency[shown], length=amplitude, width=0.9 * float(frequency[1]), name="amplitude", **look)
+    panel = Panel((bars,), Axis("frequency", "Hz"), Axis("amplitude of the velocity", unit))
+    text = f"What frequencies the command of {name} has, up to the bandwidth of {note['command']['bandwidth']:g} Hz; "
+    return Figure(f"Spectrum of {name}", f"{text}its ramps spread each a little.", (panel,))

@@ -1,0 +1,129 @@
+"""`inspect.html`: diagnostics of a data set on one page that works offline."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.output import write_atomically
+from frictionzoo.data.recording import Recording
+from frictionzoo.data.signals import derive_velocity, find_spikes, regular_stretch, repair_spikes
+from frictionzoo.diagnostics.check import Check
+from frictionzoo.diagnostics.survey import pool_velocities, rank_by_faults
+from frictionzoo.report.colors import BASELINE, BEST, MODEL
+from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe
+from frictionzoo.report.inspection_terminal import list_quantities
+from frictionzoo.report.page import render_page
+
+BINS = 61
+LISTED = 50  # largest number of recordings in the table; inspect.json has all
+SMALL = 220  # height of a small figure [px]
+
+
+def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recording]) -> None:
+    """Write the page of a survey (content of `inspect.json`) and its recordings.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    ranked = rank_by_faults(survey)
+    worst = next(recording for recording in recordings if recording.name == ranked[0]["name"])
+    joints = range(len(survey["joints"]))
+    sections = {
+        "velocity": [_plot_velocities(recordings, joint, survey) for joint in joints],
+        "worst": [_plot_recording(worst, joint, survey) for joint in joints],
+        "spread": list(_plot_spreads(survey)) if len(recordings) > 1 else [],
+    }
+    page = render_page(
+        "report/inspect.html.jinja",
+        sections,
+        [Check(**finding) for finding in survey["findings"]],
+        survey=survey,
+        quantities=list(list_quantities(survey)),
+        rows=ranked[:LISTED],
+        version=survey["version"],
+    )
+    write_atomically(path, page)
+
+
+def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mapping[str, Any]) -> Figure:
+    velocity, slow = pool_velocities(recordings, joint), survey["joints"][joint]["slow"]
+    low, high = survey["joints"][joint]["velocity"]
+    bars = _count(velocity, low, high, "share of the samples")
+    band = Stripe(low=-slow["speed"], high=slow["speed"], color=BASELINE, opacity=0.18)
+    panel = Panel((band, bars), Axis("velocity", survey["units"]["velocity"]), Axis("share of the samples", "%"))
+    text = f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % are in the band, "
+    text += f"below {slow['speed']:.2g} {survey['units']['velocity']}."
+    return Figure(_name("Velocities", joint, survey), text, (panel,))
+
+
+def _plot_recording(recording: Recording, joint: int, survey: Mapping[str, Any]) -> Figure:
+    """Return position and command above velocity, over time, with spikes marked."""
+    units = survey["units"]
+    time = recording.time - recording.time[0]
+    position, spikes = recording.signals["qpos"][:, joint], find_spikes(recording.signals["qpos"][:, joint])
+    above: list[Mark] = [Curve(x=time, y=position, name="position")]
+    ctrl = recording.signals["ctrl"]
+    if ctrl.shape[1] > joint:
+        above.insert(0, Curve(x=time, y=ctrl[:, joint], name="command", color=BASELINE))
+    if len(spikes):
+        look: dict[str, Any] = {"name": "spike", "color": BEST}
+        above.append(Curve(x=time[spikes], y=position[spikes], width=0.0, marker="circle-open", size=9.0, **look))
+    smooth = repair_spikes(position)
+    grid, _ = regular_stretch(time, smooth)
+    velocity = derive_velocity(time, smooth)
+    below: list[Mark] = []
+    if "qvel" in recording.signals:
+        below.append(Curve(x=time, y=recording.signals["qvel"][:, joint], name="velocity, measured"))
+    if len(velocity) == len(grid):
+        below.append(Curve(x=grid, y=velocity, name="velocity, from the position", color=MODEL))
+    axis = Axis("time", "s")
+    upper = Panel(above, axis, Axis("position, command"), share=3.0)
+    lower = Panel(below, axis, Axis("velocity", units["velocity"]), share=2.0)
+    text = f"{recording.name}: position [{units['position']}] and command at the top, velocity at the bottom; the "
+    text += "estimate covers the longest stretch without a gap."
+    return Figure(_name(recording.name, joint, survey), text, (upper, lower))
+
+
+def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
+    """Yield histograms of quantities over the recordings."""
+    recordings = survey["recordings"]
+    yield from _plot_spread("Sample interval", "ms", [1e3 * entry["timing"]["interval"] for entry in recordings])
+    yield from _plot_spread("Uneven intervals", "%", [100 * entry["timing"]["jitter"] for entry in recordings])
+    for joint in range(len(survey["joints"])):
+        entries = [entry["joints"][joint] for entry in recordings]
+        lags = [1e3 * entry["velocity_lag"] for entry in entries if entry["velocity_lag"] is not None]
+        yield from _plot_spread(_name("Velocity lag", joint, survey), "ms", lags)
+        tops = [entry["top_speed"] for entry in entries]
+        yield from _plot_spread(_name("Top speed", joint, survey), survey["units"]["velocity"], tops)
+        yield from _plot_spread(_name("Slow samples", joint, survey), "%", [100 * entry["slow"] for entry in entries])
+    supplies = [entry["supply"]["median"] for entry in recordings if entry["supply"]]
+    yield from _plot_spread("Supply", "V", supplies)
+
+
+def _plot_spread(title: str, unit: str, values: Sequence[float]) -> Iterator[Figure]:
+    """Yield a histogram over the recordings; nothing for fewer than two values."""
+    if len(values) < 2:
+        return
+    known = np.array(values, float)
+    bars = _count(known, float(known.min()), float(known.max()), "recordings", bins=31, share=False)
+    text = f"{np.min(known):.4g} to {np.max(known):.4g} {unit}, median {np.median(known):.4g}."
+    panel = Panel((bars,), Axis(title.lower(), unit), Axis("recordings"))
+    yield Figure(title, text, (panel,), height=SMALL, small=True)
+
+
+def _count(
+    values: Float[np.ndarray, "samples"], low: float, high: float, name: str, bins: int = BINS, share: bool = True
+) -> Bars:
+    """Return a histogram; values outside the range count in the outermost bins."""
+    room = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-9)
+    counts, edges = np.histogram(np.clip(values, low, high), bins, (low - 0.01 * room, high + 0.01 * room))
+    length, width = 100 * counts / len(values) if share else counts.astype(float), float(edges[1] - edges[0])
+    shared: dict[str, Any] = {"name": name, "color": MODEL, "upright": True}
+    return Bars(at=0.5 * (edges[1:] + edges[:-1]), length=length, width=0.96 * width, legend=False, **shared)
+
+
+def _name(quantity: str, joint: int, survey: Mapping[str, Any]) -> str:
+    return f"{quantity}, joint {survey['joints'][joint]['name']}" if len(survey["joints"]) > 1 else quantity

@@ -1,0 +1,125 @@
+"""Rendering of HTML pages: templates, packed libraries, and filters that print numbers."""
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.core.telling import say_percent
+from frictionzoo.core.templates import open_template
+from frictionzoo.diagnostics.check import Check
+from frictionzoo.report import with_plotly
+from frictionzoo.report.colors import DARK
+from frictionzoo.report.figure import Figure
+from frictionzoo.report.text import format_change, format_number, format_share, format_unit, say_origin
+from frictionzoo.result.names import label_values, merge_known, place_between_bounds, read_values
+from frictionzoo.result.types import ParameterRow, ValueRow
+
+
+def render_page(
+    template: str,
+    sections: Mapping[str, Sequence[Figure]],
+    checks: Sequence[Check],
+    points: int = with_plotly.POINTS,
+    state: Mapping[str, Any] | None = None,
+    **content: Any,
+) -> bytes:
+    """Render one self-contained page.
+
+    Args:
+        template: Template file relative to the package; it extends `report/page.html.jinja`.
+        sections: Figures by the template's name for them.
+        checks: Checks that the page lists.
+        points: Largest number of points per curve.
+        state: Further data for the page's script.
+        content: Further variables of the template, such as the program's `version`.
+    """
+    drawn = {name: [with_plotly.draw(figure, points) for figure in figures] for name, figures in sections.items()}
+    names, figures = list(sections), [figure for figures in drawn.values() for figure in figures]
+    data = {"figures": figures, "dark": DARK, "state": state or {}}
+    return (
+        open_template(template, _FILTERS, html=True)
+        .render(
+            sections=sections,
+            # Index of the first figure of each section.
+            first={name: sum(len(drawn[before]) for before in names[:i]) for i, name in enumerate(names)},
+            data=pack(json.dumps(data, separators=(",", ":"))),
+            plotly=pack_library("plotly/plotly-basic.min.js"),
+            checks=checks,
+            doubts=sum(check.doubtful for check in checks),
+            state=state or {},
+            **content,
+        )
+        .encode()
+    )
+
+
+def pack(text: str) -> str:
+    """Compress a text for the page's script to less than half its size: base64 of gzip, without a date."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+
+
+@cache
+def pack_library(path: str) -> str:
+    """Return a packed JavaScript library that pages embed, by its path relative to this folder."""
+    return pack(resources.files("frictionzoo.report").joinpath(*path.split("/")).read_text(encoding="utf-8"))
+
+
+def _overview(parameter: ParameterRow) -> dict[str, Any]:
+    """Summarise a parameter of several joints in one line: mean or range, and doubtful values."""
+    rows, first = [row for row in parameter["by_joint"] if row["identified"]], parameter["by_joint"][0]
+    values = read_values(parameter)
+    values = values[~np.isnan(values)]
+    ended = sum(row["at_bound"] for row in rows)
+    vague = sum(row["identifiable"] is False and not row["at_bound"] for row in rows)
+    counts = (ended, "at a bound"), (vague, "not identifiable")
+    low, high = format_number(float(values.min())), format_number(float(values.max()))
+    spread = low if low == high else f"{low} to {high}"
+    return {
+        "value": format_number(float(values.mean())) if rows else spread,
+        "said": (_say_whose(first) if len(parameter["by_joint"]) == 1 else spread) if rows else "known",
+        "doubt": ", ".join(what if len(rows) == 1 else f"{n} of {len(rows)} {what}" for n, what in counts if n),
+    }
+
+
+def _say_whose(row: ValueRow) -> str:
+    return f"shared by {row['name']}" if len(row["joints"]) > 1 else row["name"]
+
+
+def _place(row: ValueRow, value: float) -> float:
+    """Return the position of a value between the bounds of its row [%], see `place_between_bounds`."""
+    return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
+
+
+def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
+    """Return a sentence with the identifiable values of the widest and narrowest relative interval; empty for none."""
+    rows = {label: row for p in parameters for label, row in label_values(p).items() if row["identified"]}
+    width = {
+        label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
+        for label, row in rows.items()
+        if row["interval"] is not None and row["value"] and row["identifiable"] is not False
+    }
+    if not width:
+        return ""
+    least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
+    whose = " of the identifiable values" if any(row["identifiable"] is False for row in rows.values()) else ""
+    said = f"Least certain{whose}: {least}, ± {say_percent(width[least])}"
+    return f"{said}; most certain: {most}, ± {say_percent(width[most])}." if most != least else f"{said}."
+
+
+_FILTERS = {
+    **{"number": format_number, "unit": format_unit, "place": _place, "change": format_change},
+    **{
+        "merge_known": merge_known,
+        "overview": _overview,
+        "share": format_share,
+        "percent": say_percent,
+        "certainty": _say_certainty,
+        "say_origin": say_origin,
+    },
+}

@@ -1,0 +1,413 @@
+"""`report.html`: one run on one page that works offline, from the verdict to the curves."""
+
+import re
+import shlex
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.core.anonymous import list_paths_of, without_paths
+from frictionzoo.core.jobs import read_begun
+from frictionzoo.core.output import write_atomically
+from frictionzoo.diagnostics.check import Check
+from frictionzoo.report.page import pack_library, render_page
+from frictionzoo.report.rollouts import say_where
+from frictionzoo.report.run_plots import choose_rollouts, plot_run
+from frictionzoo.report.terminal import ERRORS
+from frictionzoo.report.text import format_change, format_number, format_share
+from frictionzoo.result.curves import Curves
+from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
+from frictionzoo.result.verdict import doubt_reference, is_usable, judge, list_rollouts, say_finding, say_purposes
+
+TITLES = {
+    "identification": "Not identified",
+    "recordings": "Recordings",
+    "torque": "Recorded torque",
+    "gain": "Improvement",
+    "joints": "Joints",
+    "reference": "Reference",
+    "train": "Training and test error",
+    "fit": "Fit",
+    "bounds": "Bounds",
+    "identifiability": "Identifiability",
+    "stability": "Stability",
+    "residual": "Residual",
+}
+"""Titles of findings by kind."""
+LINKS = {
+    "verdict": "Verdict",
+    "rollout": "Rollouts",
+    "replay": "Replay",
+    "friction": "Friction",
+    "left": "Residual",
+    "parameters": "Parameters",
+    "trust": "Checks passed",
+    "errors": "Accuracy",
+    "joints": "Joints",
+    "history": "Optimisation",
+    "horizons": "Horizons",
+    "files": "Files",
+}
+"""Section titles by id."""
+_OF_ONE, _OF_SEVERAL = ("friction", "left"), ("joints",)
+_NEAR, _NAMED = 0.8, 3  # correlation from which a pair is named; largest number of named pairs
+MOST, LEAST = 1500, 500  # points per curve for one joint, and at least for several; three figures share a row
+PORTRAYED = (
+    "Points: friction implied by the recorded torque in motion, the median of each bin; they lie on the curve if the "
+    "residual is noise. Bars: 10 to 90 % of a bin. Band: 95 % intervals of the identifiable parameters; it does not "
+    "include missing terms."
+)
+METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
+FILES = {  # other files of a run, by path relative to the page
+    "result.json": "all numbers of this page, for programs",
+    "identified.xml": "the test stand or robot with the identified drive, for MuJoCo",
+    "identified.urdf": "the robot with the identified drive",
+    "bench.xml": "the simulated part of the robot, for MuJoCo",
+    "friction.safetensors": "values or weights of the friction model",
+    "figures/figure3_parameters.png": "parameters over iterations, as an image",
+    "figures/figure4_trajectory.png": "the trajectory, as an image",
+    "figures/figure5_error.png": "its position error, as an image",
+    "tensorboard/": "iterations and result, for TensorBoard",
+    "csv/": "iterations and result, as tables and text",
+    "wandb/": "iterations and result, for Weights & Biases",
+    "mlflow/": "iterations and result, for MLflow",
+    "checkpoints/": "checkpoints for resuming an interrupted run",
+    ".hydra/config.yaml": "the configuration of the run",
+}
+
+
+def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None = None) -> None:
+    """Write the page of a run into the run's folder; the page links to the other files there.
+
+    Args:
+        path: Path of the page.
+        result: Content of `result.json`.
+        curves: Curves for the figures.
+        replay: Result of `frictionzoo.report.replay.record_replay`; None for a page without a 3D view.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    write_atomically(path, _render(path.parent, result, curves, replay))
+
+
+def _render(folder: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None) -> bytes:
+    # A shared page must not reveal anyone's home directory; paths below the working directory become relative.
+    place, command = str(folder.absolute()), say_command(folder)
+    known = {place, *list_paths_of(result, command)}
+    place, command, result = without_paths([place, command, result], known, result["joints"], Path.cwd())
+    result["parameters"] = _add_starts(result["parameters"], result, curves)
+    joints = list_joints(result) if len(result["joints"]) > 1 else []
+    absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}
+    content = {
+        "result": result,
+        "verdict": result["verdict"],
+        "joints": joints,
+        "links": [(key, text) for key, text in LINKS.items() if key not in absent],
+        "place": place,
+        "uses": list_uses(place, is_usable(result)),
+        "usable": is_usable(result),
+        "purposes": say_purposes(result["verdict"]["commands"]),
+        "command": command,
+        "step": _say_step(result["settings"].get("bench", {}).get("timestep")),
+        "ranks": _say_ranks(curves),
+        "shown": _say_shown(result, curves),
+        "portrayed": PORTRAYED,
+        "correlations": [correlate(result, joint) for joint in result["joints"]],
+        "headline": _say_headline(result),
+        "errors": list(list_errors(result)),
+        "evaluations": list(_list_evaluations(result)),
+        "timing": list_timing(result["timing"]),
+        "files": {name: text for name, text in FILES.items() if name == "result.json" or (folder / name).exists()},
+        "version": result["versions"]["frictionzoo"],
+    }
+    return render_page(
+        "report/run.html.jinja",
+        plot_run(result, curves),
+        list(check_result(result)),
+        points=max(LEAST, MOST // len(result["joints"])),
+        state={"replay": replay},
+        three=pack_library("three/three.min.js") if replay else "",
+        **content,
+    )
+
+
+def list_uses(place: str, usable: bool = True) -> list[str]:
+    """Return lines that use the result in this folder, in a shell and in Python.
+
+    Args:
+        place: Folder of the run.
+        usable: Whether the verdict allows an export; otherwise the lines only read the result.
+    """
+    export = [f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf"] if usable else []
+    read = ["import frictionzoo as fz", f"drive = fz.load({place!r})"]
+    return [
+        *export,
+        *read,
+        "drive.parameters, drive.rollout()" if usable else 'drive.parameters, drive.result["verdict"]',
+    ]
+
+
+def say_command(folder: Path) -> str | None:
+    """Return the shell command of the run in a folder, without `resume` and `hydra` options; None if not stored."""
+    overrides = read_begun(folder, "overrides")
+    if not isinstance(overrides, list):
+        return None
+    kept = [str(item) for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", str(item))]
+    return shlex.join(["python", "-m", "frictionzoo.run", *kept])
+
+
+def _say_step(timestep: Any) -> str:
+    return f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file"
+
+
+def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
+    """Add the initial value of the fit to each identified value."""
+    found: Any = parameters
+    for parameter in found:
+        course = curves.history.get(f"{parameter['owner']}.{parameter['name']}")
+        for row in parameter["by_joint"]:
+            if row["identified"] and course is not None:
+                row["start"] = float(np.ravel(course[0])[result["joints"].index(row["joints"][0])])
+    return found
+
+
+def _say_ranks(curves: Curves) -> str:
+    *before, last = choose_rollouts(curves)
+    return f"{', '.join(before)} and {last} test rollout".capitalize() if before else f"The {last} test rollout"
+
+
+def _say_shown(result: Result, curves: Curves) -> str:
+    """Return a text on the drawn rollouts, with their errors and the error in the headline."""
+    test, said = result["metrics"]["test"], []
+    for name, rollout in choose_rollouts(curves).items():
+        measured = curves.measured_qpos[rollout, 1:]
+        of = (float(np.abs(qpos[rollout] - measured).mean()) for qpos in (curves.qpos, curves.baseline_qpos))
+        own, without = (each if np.isfinite(each) else None for each in of)
+        change = format_change(own, without)
+        about = "; ".join(
+            filter(None, (change and f"{change} against no friction", say_where(result["data"], curves, rollout)))
+        )
+        said.append(f"{name} {format_number(own)} {test['unit']}" + (f" ({about})" if about else ""))
+    count, duration = len(curves.qpos), result["data"]["timestep"] * curves.qpos.shape[1]
+    over = " over joints" if len(result["joints"]) > 1 else ""
+    return (
+        f"{count} rollout{'s' * (count > 1)} of {duration:g} s from the test recordings. Mean position error{over}: "
+        f"{', '.join(said)}. The error in the headline is the mean over {test['rollouts']} "
+        f"rollout{'s' * (test['rollouts'] > 1)} of {test['horizon']:g} s."
+    )
+
+
+def correlate(result: Result, joint: str) -> dict[str, Any] | None:
+    """Return the correlations of a joint's identified parameters, and the strongest; None below two parameters."""
+    if (covariance := result["covariance"]) is None:
+        return None
+    labels = covariance["labels"]
+    own = {
+        label: p["name"]
+        for p in result["parameters"]
+        for row in p["by_joint"]
+        if joint in row["joints"]
+        for label in (f"{p['owner']}.{p['name']}", f"{p['owner']}.{p['name']}/{row['name']}")
+        if label in labels
+    }
+    if len(own) < 2:
+        return None
+    places = [labels.index(label) for label in own]
+    matrix = np.array(covariance["matrix"])[np.ix_(places, places)]
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    names, rows = [*own.values()], np.clip(matrix / np.outer(size, size), -1, 1)
+    first, second = np.triu_indices(len(names), 1)
+    near = sorted(zip(first, second, strict=True), key=lambda pair: -abs(rows[pair]))[:_NAMED]
+    said = [f"{names[i]} and {names[j]} ({rows[i, j]:.2f})" for i, j in near if abs(rows[i, j]) >= _NEAR]
+    return {"names": names, "rows": rows.tolist(), "strongest": ", ".join(said)}
+
+
+def check_result(result: Result) -> Iterator[Check]:
+    """Yield the checks of a result: findings first, worst first, then passed checks."""
+    doubts = judge(result)["findings"]
+    for doubt in doubts:
+        text = say_finding(doubt)
+        yield Check("bad" if doubt["severe"] else "caution", TITLES[doubt["kind"]], f"{_capitalise(text)}.")
+    found = {doubt["kind"] for doubt in doubts}
+    for kind, check in _list_checks(result):
+        if kind not in found:
+            yield check
+
+
+def _list_checks(result: Result) -> Iterator[tuple[str, Check]]:
+    """Yield kind and text of passed checks; the caller drops kinds that have a finding."""
+    yield "gain", _check_gain(result)
+    if len(result["joints"]) > 1 and result["model"] != "baseline":
+        text = f"In each of the {len(result['joints'])} joints, the test error is smaller than without friction."
+        yield "joints", Check("good", TITLES["joints"], text)
+    yield "held out", check_held_out(result["data"])
+    yield "train", _check_train(result["metrics"])
+    yield "fit", _check_fit(result["fit"])
+    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
+    text = f"No parameter ended at a bound ({len(identified)} identified)."
+    yield "bounds", Check("good", TITLES["bounds"], text)
+    if result["no_intervals"] is not None:
+        text = f"No parameter has an interval: {result['no_intervals']}."
+        yield "identifiability", Check("note", TITLES["identifiability"], text)
+    else:
+        text = f"The data determine every identified parameter ({len(identified)})."
+        yield "identifiability", Check("good", TITLES["identifiability"], text)
+    total = sum(metrics["rollouts"] for _, metrics in list_rollouts(result))
+    text = f"All {total} rollouts stayed finite."
+    yield "stability", Check("good", TITLES["stability"], text)
+    yield "residual", _check_residual(result)
+    yield "origin", check_origin(result["data"])
+
+
+def _check_gain(result: Result) -> Check:
+    test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    if result["model"] == "baseline":
+        return Check("note", TITLES["gain"], "This model has no friction: it is compared with itself.")
+    if test is None or not baseline:
+        return Check("note", TITLES["gain"], "The drive without friction has no test error to compare with.")
+    text = f"The test error is {baseline / test:.3g} times smaller than without friction"
+    if doubt_reference(result["reference"]):
+        return Check("note", TITLES["gain"], f"{text}; this comparison is unreliable, see the reference.")
+    return Check("good", TITLES["gain"], f"{text}.")
+
+
+def _check_residual(result: Result) -> Check:
+    residual = result["residual"]
+    rows = residual["by_joint"] if residual else []
+    if not rows:
+        text = "The recordings are too short, or the joints move too little, to test whether the residual is noise."
+        return Check("note", TITLES["residual"], text)
+    row = max(rows, key=lambda row: row["residual"] / row["friction"])
+    share = format_share(row["residual"], row["friction"])
+    of = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
+    text = f"The residual torque, {share} of the friction{of}, is as large as noise from encoders and filters"
+    return Check("good", TITLES["residual"], f"{text}; no tested factor explains more of it.")
+
+
+def check_held_out(data: DataRow) -> Check:
+    """Check how much held-out data was tested; `data` as in `result.json`."""
+    logs = [[log for log in data["logs"] if log["part"] == part] for part in ("train", "test")]
+    fitted, tested = (data["timestep"] * sum(log["samples"] for log in part) for part in logs)
+    shared = {log["sha256"] for log in logs[0]} & {log["sha256"] for log in logs[1]}
+    where = "from another part of the same recording" if shared else "from other recordings"
+    text = f"Fitted to {fitted:.3g} s of data and tested on {tested:.3g} s {where}."
+    return Check("good", "Held-out data", text)
+
+
+def _check_train(metrics: PartsRow) -> Check:
+    train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
+    ratio = f"{test / train:.2g}" if test is not None and train else "none"
+    text = f"The test error, {format_number(test)} {metrics['test']['unit']}, is {ratio} times the training error"
+    return Check("good", TITLES["train"], f"{text}: no sign of overfitting.")
+
+
+def _check_fit(fit: FitRow) -> Check:
+    method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
+    iterations = f"{count} iteration{'s' * (count != 1)}"
+    kept = f"iteration {fit['best_iteration']}, with the lowest training loss, is reported"
+    said = {
+        "converged": ("good", f"{method} converged after {iterations}; {kept}."),
+        "patience": ("good", f"{method} stopped after {iterations}, when the loss stopped falling; {kept}."),
+        "known": ("note", "Nothing was identified: the known values were evaluated."),
+        "grid": ("good", f"The grid search tried all {count} combinations; the best is reported."),
+    }
+    ended = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
+    return (
+        Check(said[ended][0], "Fit", said[ended][1])
+        if ended in said
+        else Check("good", "Fit", f"{method} completed {iterations}; {kept}.")
+    )
+
+
+def _capitalise(text: str) -> str:
+    """Capitalise a sentence, unless its first word is a name."""
+    first = text.split(maxsplit=1)[0]
+    return text if set("._/") & set(first) else text[0].upper() + text[1:]
+
+
+def check_origin(data: DataRow) -> Check:
+    """Check whether the data come from hardware; `data` as in `result.json`."""
+    if data["origin"] == "simulated":
+        text = "A simulator made the data: the results show how well the model imitates it, and nothing about hardware."
+        return Check("note", "Simulated data", text)
+    if data["origin"] == "hardware":
+        return Check("good", "Hardware data", "Recorded on hardware, according to data.origin.")
+    return Check("note", "Origin", "Your recordings. data.origin does not state whether they come from hardware.")
+
+
+def _say_headline(result: Result) -> str:
+    test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
+    if test["position_mae"] is None:
+        return f"All {test['rollouts']} test rollouts of {test['horizon']:g} s diverged: there is no error to report."
+    rollouts = f"{test['rollouts']} open-loop rollout{'s' * (test['rollouts'] > 1)} of {test['horizon']:g} s"
+    text = f"Mean position error {format_number(test['position_mae'])} {test['unit']} over {rollouts} on test data"
+    if not baseline["position_mae"] or result["model"] == "baseline":
+        return f"{text}."
+    change = format_change(test["position_mae"], baseline["position_mae"])
+    without = f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction"
+    if doubt_reference(result["reference"]):
+        return f"{without} ({change}, unreliable: a parameter of that fit ended at a bound)."
+    return f"{without} ({change})."
+
+
+def list_errors(result: Result) -> Iterator[dict[str, Any]]:
+    """Return rows of the main table: errors of the model and without friction."""
+    test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
+    return _compare_errors(test, baseline, test)
+
+
+def _compare_errors(
+    own: Mapping[str, Any], baseline: Mapping[str, Any], units: Mapping[str, Any]
+) -> Iterator[dict[str, Any]]:
+    for name, (key, unit) in ERRORS.items():
+        if key in own:
+            yield {"name": name, "unit": units[unit], "model": own[key], "baseline": baseline[key]}
+
+
+def list_joints(result: Result) -> list[dict[str, Any]]:
+    """Return for each joint its errors with and without friction, its parameters, and doubtful values."""
+    test = result["metrics"]["test"]
+    largest = max(result["by_joint"], key=lambda row: row["test"]["position_mae"] or 0.0)
+    found = []
+    for row in result["by_joint"]:
+        values = [
+            (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
+        ]
+        # Values shared by all joints are not a doubt about this joint.
+        doubts = [_doubt_value(p, value) for p, value in values if len(value["joints"]) < len(result["joints"])]
+        left = (result["residual"] or {"by_joint": []})["by_joint"]
+        residual = next((own for own in left if own["joint"] == row["joint"]), None)
+        shown = {
+            "name": row["joint"],
+            "residual": residual,
+            "errors": list(_compare_errors(row["test"], row["baseline"], test)),
+            "parameters": values,
+            "open": row is largest,
+        }
+        found.append({**shown, "doubt": "; ".join(filter(None, doubts))})
+    return found
+
+
+def _doubt_value(parameter: ParameterRow, value: ValueRow) -> str:
+    if value["at_bound"]:
+        return f"{parameter['name']} at a bound"
+    return f"{parameter['name']} not identifiable" if value["identifiable"] is False else ""
+
+
+def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
+    """Yield rows of the table of all evaluations: metrics, named by rollouts and drive."""
+    names = {"test": "test, this model", "train": "train, this model", "baseline": "test, no friction"}
+    for entry in result["by_horizon"]:
+        yield from ({"on": name, **entry[part]} for part, name in names.items())
+    for key, where in (("a", "one long rollout"), ("b", "random places")):
+        for part, name in (("model", "this model"), ("baseline", "no friction")):
+            yield {"on": f"{where}, {name}", **result["paper"][key][part]}
+
+
+def list_timing(timing: TimingRow) -> dict[str, float]:
+    """Return the seconds of each part; the rest of the total comes last."""
+    parts: dict[str, Any] = {name: seconds for name, seconds in timing.items() if name != "total"}
+    return parts | {"figures and files": max(0.0, timing["total"] - sum(parts.values()))}

@@ -1,0 +1,250 @@
+"""Figures of one run: friction curves, rollouts, errors, residual torque, optimisation, errors by horizon."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure as Drawing
+
+from frictionzoo.report import with_matplotlib
+from frictionzoo.report.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
+from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values
+from frictionzoo.report.friction_plots import find_units, plot_left, plot_portraits
+from frictionzoo.report.rollouts import Drive, draw_errors, draw_motion, say_where
+from frictionzoo.report.text import format_number, format_unit, say_origin
+from frictionzoo.result.curves import Curves
+from frictionzoo.result.types import HorizonRow, Result
+
+COLUMNS = 4  # joints in a row of a sheet
+PHASE = 5.0  # duration in a phase plot [s]; beyond it, curves hide each other
+_FIRST = {"": 0}  # first long test rollout, from the paper's evaluation (a)
+REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # reported iteration
+
+
+def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
+    """Return all figures of one run by name; an empty list if there is nothing to show.
+
+    In `portraits`, `phase`, `left` and `trajectories`, each joint has the same number of figures, in joint order.
+
+    Args:
+        result: Content of `result.json`.
+        curves: Curves for the figures.
+    """
+    shown = choose_rollouts(curves)
+    return {
+        "portraits": list(plot_portraits(result, curves)),
+        "trajectories": list(_plot_trajectories(result, curves, shown)),
+        "error": list(_plot_errors(result, curves, shown)),
+        "phase": list(_plot_phases(result, curves, shown)),
+        "left": list(plot_left(result, curves)),
+        "history": list(plot_history(result, curves)),
+        "horizons": [_plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
+    }
+
+
+def choose_rollouts(curves: Curves) -> dict[str, int]:
+    """Return the indices of best, median and worst long test rollout by rank; a diverged rollout counts as worst."""
+    error = np.abs(curves.qpos - curves.measured_qpos[:, 1:]).mean(axis=(1, 2))
+    order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable").tolist()
+    if len(order) == 1:
+        return {"only": order[0]}
+    middle = {"median": order[(len(order) - 1) // 2]} if len(order) > 2 else {}
+    return {"best": order[0]} | middle | {"worst": order[-1]}
+
+
+def write_figures(folder: Path, result: Result, curves: Curves) -> None:
+    """Write figures 3, 4 and 5 of a run as PNG files into this folder.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {result['fit']['best_iteration']}, "
+    window = f"moving mean and standard deviation over {result['evaluation']['window']:g} s"
+    tested = _describe(result, "one rollout of the test part")
+    history, error = list(plot_history(result, curves)), list(_plot_errors(result, curves, _FIRST))
+    sheets = {
+        "figure3_parameters": Sheet(f"{fitted}as reported", history, 1.9, columns=2, headings=True),
+        "figure4_trajectory": _arrange(result, curves),
+        "figure5_error": Sheet(f"{tested}\n{window}", error, 3.6),
+    }
+    if len(curves.history["iteration"]) == 1:  # nothing was optimised
+        del sheets["figure3_parameters"]
+    for name, sheet in sheets.items():
+        with_matplotlib.save_figure(with_matplotlib.draw(sheet), folder / f"{name}.png")
+
+
+def draw_rollout(result: Result, curves: Curves) -> Drawing:
+    """Return figure 4 as a matplotlib figure."""
+    return with_matplotlib.draw(_arrange(result, curves))
+
+
+def _arrange(result: Result, curves: Curves) -> Sheet:
+    trajectories = list(_plot_trajectories(result, curves, _FIRST))
+    title = _describe(result, "one rollout of the test part")
+    return Sheet(title, trajectories, 6.0, columns=min(len(trajectories), COLUMNS), headings=True)
+
+
+def _describe(result: Result, what: str) -> str:
+    return f"{result['model']}, {what} of {result['data']['name']} ({say_origin(result['data']['origin'])})"
+
+
+def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator[Figure]:
+    """Yield figure 3: loss and each identified parameter over the iterations, with the reported iteration marked.
+
+    For a model without friction parameters (a network), the gradient norm is shown instead. `color` applies to a
+    single line; several joints have separate colours.
+    """
+    history = curves.history
+    units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
+    names = ["loss", *(name for name in units if name in history)]
+    if "grad_norm" in history and not any(name.startswith("friction.") for name in names):
+        names.append("grad_norm")
+    iteration, best = history["iteration"].astype(np.float64), result["fit"]["best_iteration"]
+    at = int(np.flatnonzero(iteration == best)[0])
+    for name in names:
+        lines = _name_lines(result, name)
+        columns = np.reshape(history[name], (len(iteration), -1)).T.astype(np.float64)[list(lines.values())]
+        label, unit = name.partition(".")[2] or name, units.get(name, "")
+        reached = _say_reached(columns[:, at])
+        y = Axis(unit=unit) if name in units else scale_values("", "", columns.ravel(), apart=10.0)
+        marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), at, result, color))
+        panel = Panel(marks, Axis("iteration"), y, note=reached if len(columns) == 1 else "")
+        each = ", one line per joint" if len(columns) > len(JOINTS) else ""
+        text = f"{label} over {len(iteration)} iterations{each}. Reported: {reached} {unit}".rstrip()
+        yield Figure(label, f"{text} at iteration {best} (marked).", (panel,), small=True)
+
+
+def _name_lines(result: Result, name: str) -> dict[str, int]:
+    """Return the history columns by joint name; joints that share a value have one column."""
+    rows = [row for p in result["parameters"] if f"{p['owner']}.{p['name']}" == name for row in p["by_joint"]]
+    joints = {row["name"]: result["joints"].index(row["joints"][0]) for row in rows if row["identified"]}
+    return joints if len(joints) > 1 else {"value": next(iter(joints.values()), 0)}
+
+
+def _say_reached(values: np.ndarray) -> str:
+    if len(values) <= len(JOINTS):
+        return ", ".join(format_number(value) for value in values)
+    return f"{format_number(values.min())} to {format_number(values.max())}"
+
+
+def _draw_courses(
+    iteration: np.ndarray, columns: Mapping[str, np.ndarray], at: int, result: Result, color: str
+) -> Iterator[Mark]:
+    """Yield one line per identified value (points for a grid search), and the reported values."""
+    best, several = float(iteration[at]), 1 < len(columns) <= len(JOINTS)
+    points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
+    look = points if result["fit"]["method"] == "grid" else {}
+    colors = JOINTS if len(columns) > 1 else (color,)
+    yield Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))
+    for i, (name, column) in enumerate(columns.items()):
+        yield Curve(x=iteration, y=column, name=name, legend=several, color=colors[i % len(colors)], **look)
+    reached = np.array([column[at] for column in columns.values()])
+    yield Curve(x=np.full(len(columns), best), y=reached, name="reported", legend=several, **REPORTED)
+
+
+def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+    """Yield figure 4 for each joint and rollout: measured and simulated position and velocity."""
+    test, timestep = result["metrics"]["test"], result["data"]["timestep"]
+    duration = timestep * (curves.measured_qpos.shape[1] - 1)
+    for joint, name in enumerate(result["joints"]):
+        for rank, rollout in shown.items():
+            drives = _list_drives(curves, rollout)
+            panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
+            errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
+            said = _say_each(drives, [_say_error(error, test["unit"]) for error in errors])
+            place = say_where(result["data"], curves, rollout)
+            text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s"
+            text += f", {place}; " if place else "; "
+            text += f"the mean position error is {said}."
+            title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
+            yield Figure(title, text, panels, time=True, rollout=rollout)
+
+
+def _say_rank(rank: str, curves: Curves) -> str:
+    count = len(curves.qpos)
+    return f"The {rank} of {count} long test rollouts: " if count > 1 else "The only long test rollout: "
+
+
+def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+    """Yield velocity over position of each joint in the median rollout."""
+    rank, rollout = list(shown.items())[(len(shown) - 1) // 2]
+    model, *_ = _list_drives(curves, rollout)
+    units, kept = find_units(result), slice(1 + round(PHASE / result["data"]["timestep"]))
+    for joint, name in enumerate(result["joints"]):
+        (x, y), (at, speed) = (
+            [own(of)[kept, joint] for of in ("qpos", "qvel")] for own in (model.measured, model.follow)
+        )
+        marks = Curve(x=x, y=y, name="measured", width=4.5, opacity=0.3), Curve(x=at, y=speed, **model.look)
+        across, up = frame([x, at]), frame([y, speed])
+        axes = Axis("position", units["position"], limits=across), Axis("velocity", units["velocity"], limits=up)
+        panel = Panel(marks, *axes)
+        text = f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s. Where the curves "
+        text += "separate at zero velocity, the simulated drive starts or stops elsewhere than measured."
+        yield Figure(f"Phase plot of {name}", text, (panel,))
+
+
+def _list_drives(curves: Curves, rollout: int) -> list[Drive]:
+    """Return the model and the drive without friction."""
+    own, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
+    return [
+        Drive(curves, own, rollout=rollout),
+        Drive(curves, baseline, "baseline_", reference=True, rollout=rollout),
+    ]
+
+
+def _say_each(drives: Sequence[Drive], values: Sequence[str]) -> str:
+    """Return the values of all drives as part of a sentence."""
+    with_whom = {"this model": "with the model", "no friction": "without friction"}
+    said = [
+        f"{value} {with_whom.get(name := drive.look['name'], f'with the {name}')}"
+        for drive, value in zip(drives, values, strict=True)
+    ]
+    return f"{', '.join(said[:-1])} and {said[-1]}"
+
+
+def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
+    """Return the mean absolute error of a rollout with unit, or that it is undefined."""
+    steps = np.abs(error[1:])
+    return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "undefined (diverged)"
+
+
+def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+    """Yield figure 5 for each rollout: moving mean +- standard deviation of the position error, mean over joints."""
+    window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
+    each = [_list_drives(curves, rollout) for rollout in shown.values()]
+    panels = draw_errors(each, result["data"]["timestep"], window, unit)
+    for (rank, rollout), drives, panel in zip(shown.items(), each, panels, strict=True):
+        largest = [f"{format_number(float(np.nanmax(drive.errors())))} {unit}" for drive in drives]
+        text = (
+            f"Moving mean and standard deviation over {window:g} s of the absolute position error"
+            f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
+        )
+        text += f"is {_say_each(drives, largest)}."
+        title = f"Error of the {rank} rollout" if rank else "Position error"
+        yield Figure(title, text, (panel,), time=True, rollout=rollout)
+
+
+def _plot_horizons(result: Result) -> Figure:
+    """Return the position error at each horizon: test, training, and without friction."""
+    entries = _sort_horizons(result)
+    unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
+    parts = ("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE)
+    marks, width, middle = [], 0.81 / len(parts), (len(parts) - 1) / 2
+    for i, (part, name, color) in enumerate(parts):
+        errors = [(entry[part]["position_mae"], entry[part]["position_mae_std"]) for entry in entries]
+        length, spread = np.array(errors, np.float64).T
+        bars = {"at": places + width * (i - middle), "length": length, "spread": spread, "width": width}
+        marks.append(Bars(name=name, color=color, upright=True, **bars))
+    lengths = tuple(f"{entry['horizon']:g} s" for entry in entries)
+    said = []
+    for length, entry in zip(lengths, entries, strict=True):
+        test, baseline = (format_number(entry[part]["position_mae"]) for part in ("test", "baseline"))
+        said.append(f"at {length}: {test} {unit} on test data, {baseline} {unit} without friction")
+    panel = Panel(marks, Axis("rollout length", ticks=lengths), Axis("position MAE", unit))
+    return Figure("Position error by horizon", f"Mean position error {'; '.join(said)}.", (panel,))
+
+
+def _sort_horizons(result: Result) -> list[HorizonRow]:
+    return sorted(result["by_horizon"], key=lambda entry: entry["horizon"])

@@ -1,0 +1,263 @@
+"""Summary of one run or a comparison in plain text, for terminals and log files."""
+
+import html
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from frictionzoo.core.table import Rows, align
+from frictionzoo.core.telling import escape_all
+from frictionzoo.report.text import escape_markdown, format_number, format_share
+from frictionzoo.result.comparison.types import Comparison
+from frictionzoo.result.names import merge_known
+from frictionzoo.result.run_types import FAR, WrittenRow
+from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
+from frictionzoo.result.verdict import say_finding, say_purposes
+
+_format_value = partial(format_number, between=" ")
+
+ERRORS = {  # row of the table: key of the metric, key of its unit
+    "position MAE": ("position_mae", "unit"),
+    "sigma of the MAE": ("position_mae_std", "unit"),
+    "position RMSE": ("position_rmse", "unit"),
+    "velocity RMSE": ("velocity_rmse", "velocity_unit"),
+}
+
+
+def summarise(result: Result, folder: Path | None) -> str:
+    """Summarise a run: parameters, test errors with and without friction, verdict, and the folder of its files."""
+    return _arrange(result, folder, align)
+
+
+def summarise_in_markdown(result: Result, folder: Path) -> str:
+    """Return the same summary in Markdown, for loggers."""
+    return _arrange(result, folder, _tabulate_in_markdown)
+
+
+def summarise_in_html(result: Result, folder: Path | None) -> str:
+    """Return the same summary in HTML, for notebooks."""
+    return _arrange(result, folder, _tabulate_in_html, _say_in_html, _tell_in_html)
+
+
+def tabulate_values(result: Result) -> str:
+    """Return the table of parameters in Markdown."""
+    return _tabulate_in_markdown(_list_parameters(result))
+
+
+def tabulate_errors(result: Result) -> str:
+    """Return test errors with and without friction in Markdown; for several joints also by joint."""
+    metrics = result["metrics"]
+    tables = [_list_errors(metrics["test"], metrics["baseline"], ("this drive", "no friction"))]
+    tables += [_list_joints(result)] if len(result["joints"]) > 1 else []
+    return "\n\n".join(map(_tabulate_in_markdown, tables))
+
+
+def _say_in_html(text: str) -> str:
+    return f"<p>{html.escape(text)}</p>"
+
+
+def _tell_in_html(lines: Sequence[str]) -> str:
+    return "".join(f"<pre>{html.escape(line)}</pre>" if line[:1] == " " else _say_in_html(line) for line in lines)
+
+
+def _tabulate_in_html(rows: Rows) -> str:
+    head, *body = [[html.escape(cell) for cell in row] for row in rows]
+    lines = [f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in body]
+    return f"<table><tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>{''.join(lines)}</table>"
+
+
+def _arrange(
+    result: Result,
+    folder: Path | str | None,
+    tabulate: Callable[[Rows], str],
+    say: Callable[[str], str] = lambda text: text,
+    tell: Callable[[Sequence[str]], str] = "\n".join,
+) -> str:
+    result, folder = escape_all(result), escape_all(str(folder)) if folder else None
+    metrics = result["metrics"]
+    blocks = [
+        say(f"{result['model']} on {_say_data(result['data'])}"),
+        tabulate(_list_parameters(result)),
+        tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
+        *([tabulate(_list_joints(result))] if len(result["joints"]) > 1 else []),
+        *([tabulate(_list_torque(result["torque"]))] if result["torque"] else []),
+        *([tabulate(_list_written(result)), tell(_list_limits(result))] if result["written"] else []),
+        *([say(f"files: {folder}")] if folder else []),
+        tell(_list_verdict(result)),
+    ]
+    return "\n\n".join(filter(None, blocks))
+
+
+def summarise_comparison(comparison: Comparison, folder: Path | None) -> str:
+    """Summarise a comparison: runs best first, failed jobs, recommendation, and the folder of its files."""
+    return "\n\n".join(_arrange_comparison(comparison, folder, align))
+
+
+def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) -> str:
+    """Return the same summary in HTML, for notebooks."""
+    origin, table, *more = _arrange_comparison(comparison, folder, _tabulate_in_html)
+    return "".join([_say_in_html(origin), table, *map(_say_in_html, more)])
+
+
+def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: Callable[[Rows], str]) -> list[str]:
+    comparison = escape_all(comparison)
+    count, doubt, recommendation = len(comparison["runs"]), comparison["reference_doubt"], comparison["recommendation"]
+    failed = "\n".join(f"failed: {failure['run']}: {failure['reason']}" for failure in comparison["failures"])
+    advice = "No recommendation: all test rollouts of all runs diverged."
+    if recommendation:
+        advice = f"recommended: {recommendation['run']}. {recommendation['reason']}"
+    more = (failed, f"warning: {doubt}" if doubt else "", advice, f"files: {folder}" if folder else "")
+    return [
+        f"{count} run{'s' * (count != 1)} on {_say_data(comparison['data'])}",
+        tabulate(_list_runs(comparison)),
+        *filter(None, more),
+    ]
+
+
+def _list_runs(comparison: Comparison) -> Rows:
+    evaluation, unit = comparison["evaluation"], comparison["unit"]
+    best = comparison["runs"][0]["label"]
+    verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
+    judged = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
+    more = ("sigma", "change", "against best", "diverged", "fit [s]")
+    rows: list[tuple[str, ...]] = [("model", "identified", f"train MAE [{unit}]", judged, *more)]
+    for run in comparison["runs"]:
+        label, train, test, change = run["label"], run["train"], run["test"], run["change"]["test"]
+        rows.append(
+            (
+                *(label, str(run["identified"]), _format_value(train["position_mae"])),
+                *(_format_value(test["position_mae"]), _format_value(test["position_mae_std"])),
+                "" if change is None else f"{round(100 * change):+d} %",
+                "best" if label == best else verdicts[label],
+                *(str(test["diverged"]), f"{run['timing']['fit']:.1f}"),
+            )
+        )
+    return rows
+
+
+def _say_data(data: DataRow) -> str:
+    kinds = {"simulated": "The data are simulated.", "hardware": "Recorded on hardware, according to data.origin."}
+    return f"{data['name']}. {kinds.get(data['origin'] or '', 'Your recordings.')}"
+
+
+def _list_parameters(result: Result) -> Rows:
+    """Return one row per parameter; for several joints, one row per joint or group of joints that share the value."""
+    several = len(result["joints"]) > 1
+    rows = [("parameter", *(["joint"] if several else []), "value", "95 % interval", "unit", "")]
+    for parameter in result["parameters"]:
+        name = f"{parameter['owner']}.{parameter['name']}"
+        for row in merge_known(parameter["by_joint"]) if several else parameter["by_joint"]:
+            joint, status = [row["name"]] if several else [], say_status(row)
+            status = "at a bound" if several and row["at_bound"] else status
+            found = _format_value(row["value"]), _format_interval(row["interval"])
+            rows.append((name, *joint, *found, parameter["unit"], status))
+            name = ""  # only in the first row of a parameter
+    if result["network"]:
+        joint = [""] if several else []  # the model determines which joints it covers
+        rows.append(("friction network", *joint, str(result["network"]["weights"]), "", "weights", "identified"))
+    return rows
+
+
+def _list_joints(result: Result) -> Rows:
+    """Return one row per joint: error with and without friction."""
+    unit = result["metrics"]["test"]["unit"]
+    rows = [("position MAE by joint", "this model", "no friction", "unit", "change")]
+    for row in result["by_joint"]:
+        error, without = (row[part]["position_mae"] for part in ("test", "baseline"))
+        change = _format_change(error, without)
+        rows.append((row["joint"], _format_value(error), _format_value(without), unit, change))
+    return rows
+
+
+def _list_torque(torque: TorqueRow) -> Rows:
+    """Return one row per joint: residual torque and torque on test data; for several joints also their mean."""
+    rows = [("residual torque, test, RMS", "residual", "torque", "unit", "share")]
+    several = [{"joint": "mean", **torque["mean"]}] if len(torque["by_joint"]) > 1 else []
+    for row in (*torque["by_joint"], *several):
+        left, whole = (row["test"][key] for key in ("residual", "torque"))
+        rows.append(
+            (row["joint"], _format_value(left), _format_value(whole), torque["unit"], format_share(left, whole))
+        )
+    return rows
+
+
+def _list_written(result: Result) -> Rows:
+    """Return one row per model file: difference between its motion in MuJoCo and the identified drive."""
+    rows = [("loaded in MuJoCo, differs by", "mean", "largest", "unit", "of the test error")]
+    for row in result["written"]:
+        share = "" if row["share"] is None else f"{100 * row['share']:.2g} %"
+        rows.append((row["file"], _format_value(row["mean"]), _format_value(row["largest"]), row["unit"], share))
+    return rows
+
+
+def _list_limits(result: Result) -> list[str]:
+    """Return the limits of model files, one line each: why they differ and what their user has to know."""
+    said = [(row["file"], limit) for row in result["written"] for limit in _list_reasons(row)]
+    files: dict[str, list[str]] = {}
+    for file, limit in said:
+        files.setdefault(limit, []).append(file)
+    return [f"{', '.join(names)}: {limit}" for limit, names in files.items()]
+
+
+def _list_reasons(row: WrittenRow) -> list[str]:
+    """Return whether a model file represents the drive exactly, why not, and its limits."""
+    if row["exact"]:
+        return ["the identified drive, represented exactly", *row["limits"]]
+    far = row["share"] is not None and row["share"] > FAR
+    reason = row["reason"] or ("no known reason: do not use it" if far else "")
+    return [*([f"far from the identified drive: {reason}"] if far else [reason] if reason else []), *row["limits"]]
+
+
+def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]) -> Rows:
+    """Return errors of a drive and of a reference, with the relative change."""
+    rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", *names, "unit", "change")]
+    for row, (key, unit) in ERRORS.items():
+        change = _format_change(test[key], reference[key])
+        rows.append((row, _format_value(test[key]), _format_value(reference[key]), test[unit], change))
+    rows.append(("diverged", str(test["diverged"]), str(reference["diverged"]), "rollouts", ""))
+    return rows
+
+
+def _list_verdict(result: Result) -> list[str]:
+    """Return the verdict as lines: grade, findings, and next steps."""
+    verdict = result["verdict"]
+    count = len(verdict["findings"])
+    lines = [f"verdict: {verdict['grade']}" + (f", {count} finding{'s' * (count > 1)}" if count else "")]
+    for finding in verdict["findings"]:
+        if finding["kind"] != "identification":
+            lines.append(f"warning: {say_finding(finding)}")
+    if result["not_identified"]:
+        why, *reasons = result["not_identified"]
+        lines.append(f"the drive was not identified: {why}. Likely reasons, the likeliest first:")
+        lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
+    if verdict["commands"]:
+        lines += [f"next: {say_purposes(verdict['commands'])}"]
+        lines += [f"  {row['command']}" for row in verdict["commands"]]
+    return lines
+
+
+def say_status(parameter: ParameterRow | ValueRow) -> str:
+    """Return the status of a value from `result.json`: known, identified or not identifiable."""
+    if not parameter["identified"]:
+        return "known"
+    return "not identifiable" if parameter["identifiable"] is False else "identified"
+
+
+def _format_interval(interval: Sequence[Any] | None) -> str:
+    """Format the interval of a value from `result.json`; empty for none."""
+    return "" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
+
+
+def _format_change(value: float | None, reference: float | None) -> str:
+    """Format the relative change; empty if there is nothing to compare."""
+    return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
+
+
+def _tabulate_in_markdown(rows: Rows) -> str:
+    # An underscore within a word is not emphasis in Markdown and needs no escape.
+    cells = ([re.sub(r"(?<=\w)\\_(?=\w)", "_", escape_markdown(cell)) for cell in row] for row in rows)
+    head, *body = (f"| {' | '.join(row)} |" for row in cells)
+    return "\n".join([head, "|---" * len(rows[0]) + "|", *body])

@@ -1,0 +1,266 @@
+"""`comparison.json`: comparison of runs; `comparison.schema.json` in this folder describes it."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib import resources
+from itertools import combinations
+from typing import Any, Final, Literal, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.output import to_json
+from frictionzoo.result.comparison import types as rows
+from frictionzoo.result.comparison.runs import NAMED, Failure, Run, differing
+from frictionzoo.result.comparison.statistics import (
+    MATTERS,
+    Difference,
+    autocorrelation,
+    bin_evenly,
+    difference,
+    error_by_horizon,
+    mean_of_finite,
+    resample,
+)
+from frictionzoo.result.names import label_values, name_unidentifiable
+from frictionzoo.result.types import Result
+from frictionzoo.result.verdict import doubt_reference
+
+SCHEMA_VERSION: Final = 6
+LONGEST_LAG = 0.5  # longest lag of the residuals' autocorrelation [s]
+FEW = 8  # number of rollouts below which their interval is unreliable
+
+
+def read_schema() -> dict[str, Any]:
+    """Return the JSON schema of `comparison.json`, which documents every field."""
+    return json.loads(
+        resources.files("frictionzoo.result.comparison").joinpath("comparison.schema.json").read_text("utf-8")
+    )
+
+
+def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Comparison:
+    """Return the content of `comparison.json`.
+
+    Args:
+        runs: At least one run, comparable as checked by `gather`.
+        failures: Jobs without a result.
+    """
+    ranked = sorted(runs, key=_rank)
+    pairs = _compare_pairs(ranked)
+    first, test = ranked[0].result, ranked[0].result["metrics"]["test"]
+    reference = next((run for run in ranked if run.result["model"] == "baseline"), None)
+    comparison: rows.Comparison = {
+        "schema_version": SCHEMA_VERSION,
+        "data": first["data"],
+        "joints": first["joints"],
+        "unit": test["unit"],
+        "velocity_unit": test["velocity_unit"],
+        "torque_unit": "N m" if test["unit"] == "rad" else "N",
+        "evaluation": {
+            "sha256": first["evaluation"]["sha256"],
+            "horizon": test["horizon"],
+            "rollouts": test["rollouts"],
+            "long_rollouts": len(ranked[0].curves.qpos),
+            "long_horizon": first["paper"]["a"]["model"]["horizon"],
+        },
+        "recommendation": _recommend(ranked, pairs),
+        "reference": reference.label if reference else None,
+        "reference_doubt": doubt_reference(reference.result["parameters"] if reference else first["reference"]),
+        "runs": [_describe(run, reference) for run in ranked],
+        "failures": [cast(rows.FailureRow, asdict(failure)) for failure in failures],
+        "differences": _list_differences(ranked),
+        "pairs": [cast(rows.PairRow, {"run": a, "other": b, **asdict(pair)}) for (a, b), pair in pairs.items()],
+        "by_horizon": _by_horizon(ranked),
+        "by_speed": _by_local(ranked, "local_speed"),
+        "by_load": _by_local(ranked, "local_load"),
+        "friction": {run.label: _describe_friction(run) for run in ranked},
+        "autocorrelation": _describe_autocorrelation(ranked),
+    }
+    return to_json(comparison)
+
+
+def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
+    """Return the position error in the long test rollouts [rad or m]."""
+    return run.curves.qpos - run.curves.measured_qpos[:, 1:]
+
+
+def _rank(run: Run) -> tuple[int, float, int]:
+    test = run.result["metrics"]["test"]
+    error = np.inf if test["position_mae"] is None else test["position_mae"]
+    return test["diverged"], error, count_identified(run.result)
+
+
+def count_identified(result: Result) -> int:
+    """Return the number of identified values and network weights."""
+    values = [value["identified"] for p in result["parameters"] for value in p["by_joint"]]
+    network = result["network"]
+    return sum(values) + (network["weights"] if network else 0)
+
+
+def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
+    """Compare every pair of runs; the better-ranked run is second."""
+    counts = resample(len(runs[0].curves.test_mae))
+    return {
+        (worse.label, better.label): difference(worse.curves.test_mae, better.curves.test_mae, counts)
+        for better, worse in combinations(runs, 2)
+    }
+
+
+def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> rows.RecommendationRow | None:
+    """Return the simplest run within noise of the best, with reason and doubts; None if all test rollouts diverged."""
+    best = ranked[0]
+    if best.result["metrics"]["test"]["position_mae"] is None:
+        return None
+    close = [best, *(run for run in ranked[1:] if pairs[run.label, best.label].verdict == "noise")]
+    chosen = min(close, key=lambda run: (count_identified(run.result), _rank(run)))
+    return {
+        "run": chosen.label,
+        "best": best.label,
+        "unidentifiable": _list_unidentifiable(chosen),
+        "not_identified": chosen.result["not_identified"],
+        "reason": _explain(chosen, best, close, pairs),
+    }
+
+
+def _list_unidentifiable(run: Run) -> list[str]:
+    """Return the labels of the values that are not identifiable from the run's data."""
+    labelled = (label_values(parameter) for parameter in run.result["parameters"])
+    return [label for values in labelled for label, row in values.items() if row["identifiable"] is False]
+
+
+def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
+    test = chosen.result["metrics"]["test"]
+    unit, rollouts = test["unit"], test["rollouts"]
+    values = count_identified(chosen.result)
+    error = f"Test MAE {test['position_mae']:.3g} {unit} with {values} identified value{'s' * (values != 1)}"
+    if chosen is not best:
+        pair = pairs[chosen.label, best.label]
+        lowest, most = best.result["metrics"]["test"]["position_mae"], count_identified(best.result)
+        text = (
+            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {most}, is within noise of it "
+            f"(difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over {rollouts} "
+            f"paired rollouts; below {100 * MATTERS:g} % of the error counts as noise). No simpler run is within noise"
+        )
+    elif len(close) > 1:
+        others = " and ".join(run.label for run in close[1:])
+        text = f"{error}, the lowest; {others} {'are' if len(close) > 2 else 'is'} within noise of it but not simpler"
+    else:
+        text = f"{error}, the lowest, and all other runs are worse by more than noise over {rollouts} paired rollouts"
+    if chosen.result["network"]:
+        text += ". It is a network: do not interpret its physical parameters"
+    doubtful = name_unidentifiable(chosen.result["parameters"])
+    doubt = f" Not identifiable, do not interpret these values: {', '.join(doubtful)}." if doubtful else ""
+    failed = chosen.result["not_identified"]
+    doubt += f" The drive was not identified: {failed[0]}." if failed else ""
+    caution = f" Few rollouts ({rollouts}): raise evaluation.rollouts." if rollouts < FEW else ""
+    return f"{text}.{_say_hair(best, pairs)}{doubt}{caution}"
+
+
+def _say_hair(best: Run, pairs: Mapping[tuple[str, str], Difference]) -> str:
+    """Return a sentence on runs whose verdict against the best is a close call; empty for none."""
+    close = {"noise": [], "worse": []}
+    for (label, other), pair in pairs.items():
+        if other == best.label and pair.verdict in close and pair.by_a_hair:
+            close[pair.verdict].append(label)
+    said = [
+        f"{', '.join(labels)} ({how})"
+        for how, labels in (("within noise", close["noise"]), ("worse", close["worse"]))
+        if labels
+    ]
+    return f" Near the limit of noise: {', '.join(said)}; other rollouts may decide otherwise." if said else ""
+
+
+def _describe(run: Run, reference: Run | None) -> rows.RunRow:
+    result = run.result
+    return {
+        "label": run.label,
+        "run": run.folder.name,
+        "model": result["model"],
+        "identified": count_identified(run.result),
+        "train": result["metrics"]["train"],
+        "test": result["metrics"]["test"],
+        "by_joint": result["by_joint"],
+        "torque": result["torque"],
+        "change": {"train": _change(run, reference, "train"), "test": _change(run, reference, "test")},
+        "rollout_mae": run.curves.test_mae.tolist(),
+        "by_horizon": [
+            {"horizon": one["horizon"], "train": one["train"], "test": one["test"]} for one in result["by_horizon"]
+        ],
+        "paper": {"a": result["paper"]["a"]["model"], "b": result["paper"]["b"]["model"]},
+        "parameters": result["parameters"],
+        "not_identified": result["not_identified"],
+        "network": result["network"],
+        "fit": result["fit"],
+        "settings": {"seed": result["seed"], "dtype": result["dtype"], "engine": result["engine"]},
+        "timing": result["timing"],
+    }
+
+
+def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> float | None:
+    """Return the relative change to the error without friction.
+
+    The error without friction comes from the reference run, or else, on test data only, from the run's baseline.
+    """
+    value = run.result["metrics"][part]["position_mae"]
+    if reference:
+        without = reference.result["metrics"][part]["position_mae"]
+    else:
+        without = run.result["metrics"]["baseline"]["position_mae"] if part == "test" else None
+    return value / without - 1 if value is not None and without else None
+
+
+def _list_differences(runs: Sequence[Run]) -> list[rows.DifferenceRow]:
+    """Return the options in which the runs differ, except options of the model."""
+    options = differing([run.result["settings"] | {"engine": run.result["engine"]} for run in runs], NAMED)
+    labels = [run.label for run in runs]
+    return [{"option": name, "values": dict(zip(labels, values, strict=True))} for name, values in options.items()]
+
+
+def _by_horizon(runs: Sequence[Run]) -> rows.GrowthRow:
+    timestep = runs[0].result["data"]["timestep"]
+    curves = {run.label: error_by_horizon(np.abs(_residual(run)).mean(axis=2), timestep) for run in runs}
+    horizon = next(iter(curves.values()))[0]
+    return {
+        "horizon": horizon.tolist(),
+        "position_mae": {label: error.tolist() for label, (_, error) in curves.items()},
+    }
+
+
+def _by_local(runs: Sequence[Run], signal: str) -> rows.BinnedRow:
+    """Return the error of the short rollouts in bins of a measured quantity."""
+    measured = getattr(runs[0].curves, signal)
+    members = bin_evenly(measured)
+    return {
+        "centre": [float(measured[windows].mean()) for windows in members],
+        "low": [float(measured[windows].min()) for windows in members],
+        "high": [float(measured[windows].max()) for windows in members],
+        "windows": [len(windows) for windows in members],
+        "position_mae": {
+            run.label: [mean_of_finite(run.curves.local_mae[windows]) for windows in members] for run in runs
+        },
+    }
+
+
+def _describe_friction(run: Run) -> rows.FrictionRow:
+    curves = run.curves
+    return {
+        "velocity": curves.velocity.tolist(),
+        "torque": curves.friction.T.tolist(),
+        "low": curves.friction_low.T.tolist(),
+        "high": curves.friction_high.T.tolist(),
+    }
+
+
+def _describe_autocorrelation(runs: Sequence[Run]) -> rows.AutocorrelationRow:
+    timestep = runs[0].result["data"]["timestep"]
+    rollouts, steps, joints = runs[0].curves.qpos.shape
+    curves = {}
+    for run in runs:
+        residual = np.moveaxis(_residual(run), 2, 1).reshape(rollouts * joints, steps)
+        lag, curves[run.label] = autocorrelation(residual, timestep, LONGEST_LAG)
+    return {
+        "lag": lag.round(9).tolist(),  # removes rounding errors of the multiplication
+        "band": 1.96 / np.sqrt(rollouts * joints * steps),
+        "coefficient": {label: curve.tolist() for label, curve in curves.items()},
+    }

@@ -1,0 +1,69 @@
+"""Choice of the engine that simulates a bench."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.simulation.base import Engine, Friction
+from frictionzoo.simulation.fold import CannotSpecialiseError
+from frictionzoo.simulation.mjx import MjxEngine
+from frictionzoo.simulation.specialised import SpecialisedEngine
+
+_CHOICES = ("auto", "mjx", "specialised")
+_MEASURED_JOINTS = 17
+"""Largest number of joints in a branch for which `specialised` was measured to be faster."""
+
+
+def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
+    """Return the engine of this name.
+
+    Args:
+        choice: `mjx`, `specialised`, or `auto`: `specialised` if it applies and is known to be faster, else `mjx`.
+        bench: The bench to simulate.
+        friction: The friction model's formula over `jax.numpy`.
+        constraint: Whether the model returns a `frictionloss`, or for which joints.
+
+    Raises:
+        ConfigError: There is no such engine, or `specialised` does not apply.
+        BenchError: MJX does not support something in the bench.
+    """
+    if choice not in _CHOICES:
+        raise ConfigError(f"engine={choice}: no such engine; {closest(choice, _CHOICES)}")
+    with naming_what_mjx_lacks(bench):
+        return _make_engine(choice, bench, friction, constraint)
+
+
+@contextlib.contextmanager
+def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
+    """Replace an error of MJX about an unsupported MJCF by one line.
+
+    Raises:
+        BenchError: MJX raised NotImplementedError.
+    """
+    try:
+        yield
+    except NotImplementedError as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BenchError(
+            f"{bench.source}: MJX, in which it is simulated, does not take it ({reason[:200]}); leave that out of the "
+            "MJCF"
+        ) from error
+
+
+def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
+    if choice == "mjx":
+        return MjxEngine(bench, friction, constraint)
+    most = max(bench.branches.count(number) for number in bench.branches)
+    together = "" if most == bench.nv else " that move each other"
+    reason = f"{most} joints{together} are more than the {_MEASURED_JOINTS} that were measured"
+    if choice == "specialised" or most <= _MEASURED_JOINTS:
+        try:
+            return SpecialisedEngine(bench, friction, constraint)
+        except CannotSpecialiseError as error:
+            reason = f"{bench.source} has {error}"
+    if choice == "specialised":
+        raise ConfigError(f"engine=specialised: {reason}; set engine=auto or engine=mjx")
+    engine = MjxEngine(bench, friction, constraint)
+    engine.note = f"specialised does not apply: {reason}"
+    return engine

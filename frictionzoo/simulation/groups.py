@@ -1,0 +1,186 @@
+"""Dynamics of a bench as flat functions; similar branches share one function of the properties that differ."""
+
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from frictionzoo.bench import Bench
+from frictionzoo.bench.branches import group_alike
+from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, rigid_inertia
+from frictionzoo.core.state import FrictionTerms
+from frictionzoo.simulation import tree
+from frictionzoo.simulation.base import Values, without_memory
+from frictionzoo.simulation.fold import Specialised, specialise
+from frictionzoo.simulation.linear import FEW_JOINTS, Rows, add_diagonal
+from frictionzoo.simulation.mjx import Acting, MjxEngine, ModelInputs
+
+
+class Dynamics(NamedTuple):
+    """One branch in one state, before friction.
+
+    Attributes:
+        inertia: Joint-space inertia with the armature, by rows.
+        implicit: The same with the integrator's addition, without the friction model's damping.
+        motor_torque: Torque of the actuators [N m or N].
+        external_torque: Torque of everything except actuators and friction [N m or N].
+        constraint_inertia: `efc_D` of the friction constraint's rows [kg m^2 or kg]; empty without constraint.
+        constraint_reference: `efc_aref` of these rows [rad/s^2 or m/s^2].
+    """
+
+    inertia: Rows
+    implicit: Rows
+    motor_torque: Any
+    external_torque: Any
+    constraint_inertia: Any
+    constraint_reference: Any
+
+
+class Group(NamedTuple):
+    """Similar branches, whose dynamics are one function of their properties.
+
+    Attributes:
+        joints: Index of each joint, a row a branch.
+        load: Load of each branch for `MjxEngine`, a row each; None for the bench as a whole, with the recording's load.
+        links: Link properties that differ between branches, a row each; None if they come from the load.
+        inputs: Function from values and load to MJX's inputs.
+        acting: `MjxEngine.acting`, specialised.
+        rigid: Inertia and bias torque of the links, from their properties, displacement and velocity.
+    """
+
+    joints: Int[np.ndarray, "branches joints"]
+    load: Float[np.ndarray, "branches load"] | None
+    links: Float[np.ndarray, "branches links"] | None
+    inputs: Callable[[Values, Array], ModelInputs]
+    acting: Specialised
+    rigid: Specialised
+
+    @property
+    def operations(self) -> int:
+        """Number of scalar operations for one branch."""
+        return self.acting.operations + self.rigid.operations
+
+    def dynamics(self, values: Values, load: Array, qpos: Array, qvel: Array, midway: Array, ctrl: Array) -> Dynamics:
+        """Return the branches' dynamics, stacked, from `Engine.step`'s arguments and MuJoCo's ctrl, for all joints."""
+        own = {name: value[self.joints] for name, value in values["bench"].items()}
+        loads = load[None] if self.load is None else jnp.asarray(self.load, load.dtype)
+        links = load[None, :INERTIAL] if self.links is None else jnp.asarray(self.links, load.dtype)
+        return self.each(
+            self._of_branch, own, loads, links, *(part[self.joints] for part in (qpos, qvel, midway, ctrl))
+        )
+
+    def each(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Apply a function to every branch, for arguments with a first dimension of branches."""
+        if len(self.joints) > 1:
+            return jax.vmap(function)(*arguments)
+        alone = function(*jax.tree.map(operator.itemgetter(0), arguments))
+        return jax.tree.map(lambda part: part[None], alone)
+
+    def _of_branch(
+        self,
+        known: Mapping[str, Any],
+        load: Array,
+        links: Array,
+        qpos: Array,
+        qvel: Array,
+        midway: Array,
+        ctrl: Array,
+    ) -> Dynamics:
+        here: Acting = self.acting(self.inputs({"bench": known}, load), qpos, qvel, ctrl)
+        # No parameter changes the links' properties, so they need no derivative.
+        rows, bias = self.rigid(jax.lax.stop_gradient(links), here.displacement, midway)
+        inertia = add_diagonal(rows, here.armature)
+        more = [here.implicit[index] for index in range(len(rows))]
+        implicit = tuple(tuple(map(operator.add, row, more[index][: len(row)])) for index, row in enumerate(inertia))
+        constraint = here.constraint_inertia, here.constraint_reference
+        return Dynamics(inertia, implicit, here.motor_torque, here.passive_torque - bias, *constraint)
+
+
+def groups_of(bench: Bench, constrainable: bool) -> list[Group]:
+    """Return the bench's dynamics, by branch if it has several and carries no payload.
+
+    They include the friction constraint's coefficients even if the model does not need them: XLA drops unused ones, and
+    each bench is specialised only once. An MJCF whose flags disable this constraint has none.
+    """
+    numbers = np.array(bench.branches)
+    if bench.payload is not None or not numbers.any():
+        links = None if bench.payload is not None else np.zeros((1, 0))
+        return [Group(np.arange(bench.nv)[None], None, links, *_specialised(bench, [], constrainable, ()))]
+    joints = [np.flatnonzero(numbers == number) for number in range(numbers.max() + 1)]
+    parts = [bench.only(own.tolist()) for own in joints]
+    models = {own[0]: part.compile(constraint=False) for own, part in zip(joints, parts, strict=True)}
+    groups = []
+    for alike in group_alike(joints, list(models.values())):
+        first = next(part for own, part in zip(joints, parts, strict=True) if own[0] == alike.joints[0, 0])
+        own = [models[own[0]] for own in alike.joints]
+        rigid = np.array([rigid_inertia(model).ravel() for model in own])
+        load = np.concatenate([alike.links, rigid], axis=1) if alike.fields else rigid[:, :0]
+        rows = np.array([tree.flatten(_links(model)) for model in own])
+        differ = np.flatnonzero((rows != rows[0]).any(axis=0))
+        made = _specialised(first, differ.tolist(), constrainable, alike.fields)
+        groups.append(Group(alike.joints, load, rows[:, differ], *made))
+    return groups
+
+
+_known: dict[str, tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]] = {}
+"""Functions specialised in this process; a job simulates its bench with several models."""
+
+
+def _specialised(
+    bench: Bench, differ: Sequence[int], constrainable: bool, fields: Sequence[tuple[str, int]]
+) -> tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]:
+    """Return the functions of a `Group`, for this bench and those that differ in these fields and link properties."""
+    # Benches with the same MJCF at the same values differ only in initial values and bounds, which enter MJX's model as
+    # inputs.
+    ones = dict.fromkeys(bench.params, np.ones(bench.nv))
+    key = f"{type(bench.actuator).__qualname__} {bench.payload} {differ} {fields} {bench.mjcf(ones)}"
+    if key not in _known:
+        with jax.enable_x64(True):
+            law = without_memory(lambda values, state: FrictionTerms())
+            reference = MjxEngine(bench, law, constrainable, fields)
+            values = {"bench": bench.initial_values()}
+            load = np.zeros(len(fields) + bench.nv**2) if fields else bench.load(NO_PAYLOAD)
+            inputs = jax.eval_shape(reference.model_inputs, values, jnp.asarray(load))
+            acting = specialise(reference.acting, inputs, *[np.zeros(bench.nv)] * 3)
+            _known[key] = reference.model_inputs, acting, _specialise_rigid(bench, differ)
+    return _known[key]
+
+
+def _specialise_rigid(bench: Bench, differ: Sequence[int]) -> Specialised:
+    """Specialise the links' inertia and bias torque, for few joints with slopes in displacement and velocity."""
+    model = bench.compile(constraint=False)
+    falls = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    gravity = model.opt.gravity if falls else np.zeros(3)
+    links = _links(model)
+    numbers = np.zeros(len(differ) if bench.payload is None else INERTIAL)
+
+    def rigid(numbers: Array, displacement: Array, qvel: Array) -> tuple[Rows, Array]:
+        if bench.payload is None:
+            own = tree.unflatten(links, dict(zip(differ, numbers, strict=True)))
+        else:
+            own = tree.regroup(jnp, tree.links_of(jnp, _with_inertial(model, bench.payload, numbers)))
+        at = tree.poses(own, displacement)
+        return tree.joint_inertia(own, at), tree.bias_torque(own, at, qvel, gravity)
+
+    moving = (1, 2) if bench.nv <= FEW_JOINTS else ()
+    return specialise(rigid, numbers, *[np.zeros(bench.nv)] * 2, moving=moving)
+
+
+def _links(model: mujoco.MjModel) -> list[tree.Link]:
+    return tree.without_rounding(tree.regroup(np, tree.links_of(np, model)))
+
+
+def _with_inertial(model: mujoco.MjModel, body: int, inertial: Float[Array, "11"]) -> Any:
+    """Return the model fields that `links_of` needs, with one body's values traced: first entries of a load."""
+    fields = {name: getattr(model, name) for name in tree.FIELDS}
+    mass, place, turn, inertia = jnp.split(inertial, [1, 4, 8])
+    moved = {"body_mass": mass[0], "body_ipos": place, "body_iquat": turn, "body_inertia": inertia}
+    for name, value in moved.items():
+        fields[name] = [value if index == body else own for index, own in enumerate(fields[name])]
+    return SimpleNamespace(**fields)

@@ -1,0 +1,176 @@
+"""Many open-loop rollouts at once: predicted states of segments."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from frictionzoo.core.segments import Sampling
+from frictionzoo.core.state import DriveState, Signals
+from frictionzoo.simulation import Engine, Values
+from frictionzoo.simulation.second_order import SecondOrder
+
+State = tuple[Array, Array, Array, Array]
+"""Position, velocity, the friction model's memory, and in second order the previous velocity; one row a segment."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Many open-loop rollouts at once: initial states and commands to predicted states.
+
+    Call it, or `compiled` outside compiled code, with the values, initial qpos and qvel of shape (batch, nv), signals
+    of shape (batch, samples, nv) as in `Segments` and, for a bench with payloads, loads of shape (batch, load). It
+    returns qpos and qvel after each sample interval, of shape (batch, time, nv). A diverging rollout contains
+    non-finite values.
+
+    Attributes:
+        function: The rollout, not compiled.
+        compiler_options: Options for `jax.jit` of code that contains it, as in `Engine`.
+        forward_options: The same without a reverse sweep.
+        forward_limit: Largest number of tangents for which forward mode is faster than a reverse sweep.
+        reverse: Whether it has a reverse mode.
+        branches: Number of each joint's branch, from 0; joints of different branches do not move each other.
+        keeps_slopes: As in `Engine`.
+    """
+
+    function: Callable[..., tuple[Any, Any]]
+    compiler_options: Mapping[str, Any]
+    forward_options: Mapping[str, Any]
+    forward_limit: int
+    reverse: bool
+    branches: tuple[int, ...]
+    keeps_slopes: bool
+
+    def __call__(self, values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any = None) -> tuple[Any, Any]:
+        """Return the predicted states."""
+        return self.function(values, qpos, qvel, signals, load)
+
+    @cached_property
+    def compiled(self) -> Callable[..., tuple[Any, Any]]:
+        """The compiled rollout."""
+        return self.compile(self.function, forward=True)
+
+    def compile(self, function: Callable[..., Any], forward: bool = False) -> Any:
+        """Apply `jax.jit` to a function that calls this rollout.
+
+        Args:
+            function: The function to compile.
+            forward: Whether it has no reverse sweep.
+        """
+        return jax.jit(function, compiler_options=dict(self.forward_options if forward else self.compiler_options))
+
+
+def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
+    """Make the rollouts of an engine.
+
+    Steps carry only position, velocity and the friction model's memory, so reverse mode stores little. The memory
+    begins as if each segment's first state had lasted.
+
+    Args:
+        engine: The engine of the drive.
+        sampling: Relation of samples to simulation steps; None: one step a sample, and no delay.
+    """
+    sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
+    second = SecondOrder(engine.bench, engine.friction) if sampling.second_order else None
+
+    def step_one(values: Values, state: State, now: Signals, load: Array) -> State:
+        qpos, qvel, memory, before = state
+        if second is None:
+            return *engine.step(values, qpos, qvel, now, load, memory), before
+        adapted, midway = second.adapt(values, qpos, qvel, now, memory), qvel + (qvel - before) / 2
+        return *engine.step(adapted, qpos, qvel, now, load, memory, second.rigid, midway), qvel
+
+    batched = jax.vmap(step_one, in_axes=(None, 0, 0, 0))
+    started = jax.vmap(engine.start, in_axes=(None, 0, 0, 0, 0))
+
+    def rollout(
+        values: Values,
+        qpos: Float[Array, "batch nv"],
+        qvel: Float[Array, "batch nv"],
+        signals: Signals,
+        load: Float[Array, "batch load"] | None = None,
+    ) -> tuple[Float[Array, "batch time nv"], Float[Array, "batch time nv"]]:
+        load = jnp.zeros((len(qpos), 0), jnp.result_type(float)) if load is None else load
+
+        def step(state: State, now: Signals) -> tuple[State, None]:
+            return batched(values, state, now, load), None
+
+        def advance(state: State, steps: Signals) -> tuple[State, tuple[Array, Array]]:
+            several = sampling.substeps > 1
+            state = jax.lax.scan(step, state, steps)[0] if several else step(state, steps.map(itemgetter(0)))[0]
+            read = state[0] if second is None else second.read(*state[:2])
+            return state, (read, state[1])
+
+        acting = applied(values, signals, sampling).map(lambda signal: jnp.moveaxis(signal, 0, 2))
+        memory = started(values, qpos, qvel, acting.map(itemgetter((0, 0))), load)
+        begun = qpos, qvel, memory, qvel[:, :0]
+        if second is not None:
+            begun = second.begin(qpos, qvel), qvel, memory, qvel
+        _, (positions, velocities) = jax.lax.scan(advance, begun, acting)
+        return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
+
+    options = engine.compiler_options, engine.forward_options
+    return Rollout(rollout, *options, engine.forward_limit, engine.reverse, engine.branches, engine.keeps_slopes)
+
+
+def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:
+    """Make a function, not compiled, that returns a friction model's input at measured states.
+
+    Returns:
+        Function of values, qpos and qvel of shape (batch, time, nv), signals as in `Segments` and loads of shape
+        (batch, load), which returns a state of shape (batch, time, nv).
+    """
+    over_time = jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0, None))
+    over_batch = jax.vmap(over_time, in_axes=(None, 0, 0, 0, 0))
+
+    def observe(values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any) -> DriveState:
+        now = applied(values, signals, sampling).map(lambda signal: signal[:, :, 0])
+        return over_batch(values, qpos, qvel, now, load)
+
+    return observe
+
+
+def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
+    """Return the signals that act in each simulation step: commands with the bench's delay, and the other inputs.
+
+    A command is held until the next one. In the step in which a delayed command changes, their mean over the step acts,
+    so the rollout depends continuously on the delay, also within a sample or a step.
+
+    Args:
+        values: Values, with `bench.delay` [s], of shape (nv,), if commands are delayed.
+        signals: Samples of shape (batch, samples, nv), as in `Segments`.
+        sampling: Relation of samples to simulation steps.
+
+    Returns:
+        Signals, each of shape (batch, time, substeps, nv).
+    """
+    interval, substeps, history, commands, _ = sampling
+
+    def hold(signal: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
+        now = signal[:, history:]
+        return jnp.broadcast_to(now[:, :, None], (*now.shape[:2], substeps, now.shape[2]))
+
+    held = signals.map(hold)
+    delay = values["bench"].get("delay")
+    if delay is None:
+        return held
+    # A delayed step begins at a share `later` between two of the steps in which commands are held.
+    early = -delay * substeps / interval
+    whole = jax.lax.stop_gradient(jnp.floor(early))
+    later = early - whole
+    step = jnp.arange(substeps)[:, None] + whole.astype(int)
+    sample = history + jnp.arange(held.ctrl.shape[1])[:, None, None]
+    joint = jnp.arange(len(delay))
+
+    def act(command: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
+        late = (1 - later) * command[:, sample + step // substeps, joint]
+        known = jnp.concatenate([command, command[:, -1:]], axis=1)  # padding for no delay, of weight 0
+        return late + later * known[:, sample + (step + 1) // substeps, joint]
+
+    late = {name: act(signals.inputs[name]) for name in commands}
+    return held._replace(ctrl=act(signals.ctrl), inputs=held.inputs | late)
