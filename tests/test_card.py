@@ -23,7 +23,6 @@ from robot_texts import LEG
 from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
-from frictionzoo.api.identified import Identified
 from frictionzoo.cli.card import main
 from frictionzoo.core.anonymous import find_paths, list_paths, without_paths
 from frictionzoo.core.described import describe
@@ -32,6 +31,7 @@ from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.report.card.portable import TEMPLATE, build_parts, describe_bench, place_settings, write_template
 from frictionzoo.report.card.record import CARD, MODEL, PAGE, PICTURE, read_schema
 from frictionzoo.report.card.write import FILES, write_card
+from frictionzoo.result.fitted_drive import FittedDrive
 
 EXACT = 1e-9  # rad, rad/s
 LICENCE = {"licence": "cc-by-4.0"}
@@ -102,7 +102,7 @@ def test_its_page_has_what_hubs_read_and_every_value(card: Path, run: Path) -> N
 def test_a_run_without_a_portrait_is_refused(finished_run: Callable, tmp_path: Path, monkeypatch: Any) -> None:
     drive = fz.load(finished_run("mujoco_default")[0])
     older = replace(drive, curves=replace(drive.curves, portraits={}))
-    monkeypatch.setattr(Identified, "load", lambda folder: older)
+    monkeypatch.setattr(FittedDrive, "load", lambda folder: older)
     with pytest.raises(RunError, match="no friction curve, expected one"):
         write_card(tmp_path, {**LICENCE, "output": str(tmp_path / "card")})
     assert not (tmp_path / "card").exists()

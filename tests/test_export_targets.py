@@ -44,6 +44,7 @@ from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.models.network import NetworkModel
+from frictionzoo.result.fitted_drive import FittedDrive
 
 PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
 ROOT = Path(__file__).parent.parent
@@ -316,7 +317,7 @@ def test_a_drive_of_bristles_comes_back_from_mujocos_own(law, tmp_path):
 
 @pytest.mark.parametrize("target", ["onnx", "torchscript"])
 def test_a_law_that_remembers_is_no_function_of_an_instant(target, tmp_path, monkeypatch):
-    monkeypatch.setattr(Identified, "load", lambda folder: make_fitted("lugre"))
+    monkeypatch.setattr(FittedDrive, "load", lambda folder: make_fitted("lugre"))
     with pytest.raises(ExportError, match=f"target={target}: lugre remembers what was before, expected"):
         write_exports(tmp_path, {"target": target, "output": str(tmp_path / "drive")})
     assert list(tmp_path.iterdir()) == []

@@ -23,7 +23,7 @@ from nbclient import NotebookClient
 from omegaconf import OmegaConf
 
 import frictionzoo as fz
-from frictionzoo import library
+from frictionzoo.api import library
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, LogError, RunError

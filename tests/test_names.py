@@ -44,6 +44,7 @@ from frictionzoo.export.native import write_native
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models import Dahl, MujocoDefault
 from frictionzoo.report.card.write import write_card
+from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.values import list_values
 
 PLAIN = ("plain_one", "plain_two")
@@ -459,7 +460,7 @@ def test_a_card_keeps_names_and_shortens_paths(
     run, _ = finished_run("mujoco_default")
     drive = call(fz.load(run), tmp_path / "robot.xml", name)
     with monkeypatch.context() as patch:
-        patch.setattr(Identified, "load", lambda folder: drive)
+        patch.setattr(FittedDrive, "load", lambda folder: drive)
         place, told = write_card(run, {"licence": "cc-by-4.0", "output": str(tmp_path / "card")})
     read = fz.load(place)
     assert read.bench.joints == (name,) and read.result["joints"] == [name] and told == []

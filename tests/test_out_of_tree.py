@@ -9,7 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -42,7 +42,7 @@ def command(tmp_path_factory: pytest.TempPathFactory, compilation_cache: Path) -
     shutil.copytree(PACKAGE, folder / PACKAGE.relative_to(ROOT), ignore=ignored)  # setuptools builds in the folder
     own = {
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": f"{site}{os.pathsep}{ROOT}",
+        "PYTHONPATH": os.pathsep.join(map(str, (site, ROOT, ROOT / "tests"))),
         "JAX_COMPILATION_CACHE_DIR": str(compilation_cache),
     }
 
@@ -62,47 +62,62 @@ def test_its_own_tests_pass(command: Command) -> None:
     assert " passed" in command(CHECK).stdout
 
 
+SESSION = """
+import json, sys
+from frictionzoo.cli.commands import dispatch
+from conftest import finish
+json.dump([vars(finish(lambda: dispatch(each))) for each in json.loads(sys.argv[1])], sys.stdout)
+"""
+
+
+def run_in_one_process(command: Command, *commands: Sequence[str]) -> Iterator[Finished]:
+    """What `python -m frictionzoo.NAME` ends with, for several after each other in a process that has the package."""
+    asked = [[*shlex.split(text.removeprefix("python -m frictionzoo.")), *more] for text, *more in commands]
+    ended = command(f"python -c {shlex.quote(SESSION)}", json.dumps(asked)).stdout
+    return (Finished(**each) for each in json.loads(ended))
+
+
 @pytest.mark.slow
-def test_it_is_run_compared_and_exported_by_its_name(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
-    assert "Makkar" in command(RUN, "--cfg", "job").stdout
-    finished = command(COMPARE, *tiny, "fit=lm", "fit.iterations=12", f"hydra.sweep.dir={tmp_path}")
-    assert "Warning" not in finished.stderr
-    comparison = json.loads((tmp_path / "comparison" / "comparison.json").read_text())
+def test_its_laws_are_laws_like_any_other(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    refused = "seed=-1"  # each job ends before it begins
+    sweep, run, jobs = tmp_path / "sweep", tmp_path / "run", tmp_path / "jobs"
+    shown, compared, exported, fitted, scripted, listed, unknown = run_in_one_process(
+        command,
+        (RUN, "--cfg", "job"),
+        (COMPARE, *tiny, "fit=lm", "fit.iterations=12", f"hydra.sweep.dir={sweep}"),
+        (f"python -m frictionzoo.export {sweep}/0_makkar target=mujoco",),
+        (TORCH, *tiny, "fit.iterations=4", f"hydra.run.dir={run}"),
+        (f"python -m frictionzoo.export {run} target=torchscript",),
+        ("python -m frictionzoo.run -m 'model=glob(*)'", refused, f"hydra.sweep.dir={jobs}"),
+        ("python -m frictionzoo.run model=makka",),
+    )
+    assert [each.status for each in (shown, compared, exported, fitted, scripted)] == [0] * 5
+    assert "Makkar" in shown.out and "Warning" not in compared.err
+    comparison = json.loads((sweep / "comparison" / "comparison.json").read_text())
     assert {run["label"] for run in comparison["runs"]} == {"makkar", "coulomb_stribeck"}
-    folder = tmp_path / "0_makkar"
+    folder = sweep / "0_makkar"
     result = json.loads((folder / "result.json").read_text())
-    assert result["model"] == "makkar"
-    assert result["metrics"]["test"]["diverged"] == 0
+    assert result["model"] == "makkar" and result["metrics"]["test"]["diverged"] == 0
     found = {entry["name"]: entry for entry in result["parameters"]}
     assert {name: found[name]["unit"] for name in PARAMETERS} == PARAMETERS
     # The recording's drive is this law without the Stribeck effect, with coulomb_rise as it is known; no noise.
     truth = {"armature": 0.04, "coulomb_torque": 0.1, "viscous_coefficient": 0.05}
     assert {name: found[name]["value"] for name in truth} == pytest.approx(truth, rel=1e-3)
-
-    command(f"python -m frictionzoo.export {folder} target=mujoco")
     module = (folder / "export" / "mujoco" / "drive.py").read_text()
-    assert "stribeck_rise" in module
-    assert "frictionzoo_makkar" not in module
+    assert "stribeck_rise" in module and "frictionzoo_makkar" not in module
 
+    assert json.loads((run / "result.json").read_text())["metrics"]["test"]["diverged"] == 0
+    assert (run / "export" / "torchscript" / "friction.pt").exists()
 
-@pytest.mark.slow
-def test_a_law_in_torch_alone_is_run_and_exported(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    command(TORCH, *tiny, "fit.iterations=4", f"hydra.run.dir={folder}")
-    result = json.loads((folder / "result.json").read_text())
-    assert result["metrics"]["test"]["diverged"] == 0
-    command(f"python -m frictionzoo.export {folder} target=torchscript")
-    assert (folder / "export" / "torchscript" / "friction.pt").exists()
-
-
-@pytest.mark.slow
-def test_its_names_are_known_and_other_programs_do_not_see_them(command: Command, tmp_path: Path) -> None:
-    refused = "seed=-1"  # each job ends before it begins
-    command("python -m frictionzoo.run -m 'model=glob(*)'", refused, f"hydra.sweep.dir={tmp_path}", status=2)
-    names = {path.parent.name.partition("_")[2] for path in tmp_path.glob("*/failure.json")}
+    names = {path.parent.name.partition("_")[2] for path in jobs.glob("*/failure.json")}
     assert names == {"makkar", "layer_norm_network", *(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))}
-    (line,) = command("python -m frictionzoo.run model=makka", status=2).stderr.splitlines()
+    (line,) = unknown.err.splitlines()
     assert line.startswith("frictionzoo: model=makka: no such model; did you mean makkar? (")
+    assert (listed.status, unknown.status) == (2, 2)
+
+
+@pytest.mark.slow
+def test_other_programs_do_not_see_its_names(command: Command, tmp_path: Path) -> None:
     (tmp_path / "model").mkdir()
     (tmp_path / "model" / "own.yaml").write_text("a: 1\n")
     script = f"""
