@@ -350,7 +350,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}.*\b(makkar|layer_norm_network)\b.*", leave_to_the_packages_test),
     (r"make help", list_targets),
     (
-        r"python -m frictionzoo\.run data=xl330 \$\(python -m frictionzoo\.export\.read_bam FILE\.json\)",
+        r"python -m frictionzoo\.run data=xl330 \$\(python -m frictionzoo\.bench\.read_bam FILE\.json\)",
         left_to("test_card_origin::test_published_values_are_judged_on_recordings_of_their_servo"),
     ),
     (
@@ -362,6 +362,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         r"make targets RUNS=.*|python benchmarks/targets\.py .*",
         left_to("test_targets::test_exports_move_in_mujoco_4_as_in_this_one"),
     ),
+    (r"make docs", left_to("test_docs::site", "test_readme::test_the_pages_of_plug_ins_are_made_from_their_docstrings")),
     (r"make \w+", leave_target_to_ci),
     (r"mkdocs serve", serve_documentation, SLOW),
     (r"tensorboard --logdir outputs", serve_tensorboard, SLOW),
@@ -385,7 +386,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         r"python -m frictionzoo\.export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",
         left_to("test_export_targets::test_a_drive_goes_into_several_joints_and_adds_their_actuators"),
     ),
-    (r"python -m frictionzoo\.export\.read_bam FILE\.json", left_to("test_bam::test_the_command_prints_options")),
+    (r"python -m frictionzoo\.bench\.read_bam FILE\.json", left_to("test_bam::test_the_command_prints_options")),
     (
         r"python -m frictionzoo\.card RUN licence=cc-by-4\.0.*",
         left_to("test_card::test_the_command_writes_it_and_refuses_what_is_no_run"),

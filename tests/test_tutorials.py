@@ -1,6 +1,7 @@
 """The Python of the tutorials and of the page on Python runs as it stands, and finds the drives that it speaks of."""
 
 import re
+import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import ROOT
+from filelock import FileLock
 from robots import GAINS, HEADERS, TRUTH, arm, record
 
 import frictionzoo as fz
@@ -32,8 +34,8 @@ def blocks_of(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / page).read_text(), re.M | re.S)
 
 
-def write_robots(folder: Path) -> None:
-    """The leg and the arm of the tutorials, and a recording of each."""
+def write_recordings(folder: Path) -> None:
+    """What the pages speak of: a leg, an arm and a test stand, with recordings of each."""
     (leg,) = blocks_of("tutorials/leg.md", "xml")
     headers = {signal: [f"{signal}_hip", f"{signal}_knee"] for signal in ("qpos", "qvel", "ctrl")}
     (folder / "robot.xml").write_text(leg)
@@ -42,19 +44,29 @@ def write_robots(folder: Path) -> None:
     record(folder / "leg.csv", fixed, LEG, gains, headers, seconds=20.0, noise=ENCODER, substeps=SUBSTEPS)
     (folder / "arm.xml").write_text(arm())
     record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)  # in the steps with which the page identifies it
+    (folder / "stand.xml").write_text(STAND)
+    headers, gains = {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}, {"kp": 15, "kd": 0.5}
+    for seed, name in enumerate(("a.csv", "b.csv")):
+        record(folder / name, STAND, SHAFT, gains, headers, seconds=12.0, noise=ENCODER, seed=seed, substeps=SUBSTEPS)
+
+
+@pytest.fixture(scope="module")
+def recordings(shared_folder: Path) -> Path:
+    """The folder of `write_recordings`, written once for all workers."""
+    folder = shared_folder / "tutorials"
+    with FileLock(folder.with_suffix(".lock")):
+        if not folder.exists():
+            (half := shared_folder / "half").mkdir()
+            write_recordings(half)
+            half.rename(folder)
+    return folder
 
 
 @pytest.fixture
-def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
+def follow(recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
     """Runs the Python of a page from some block on, where its files are; the names that it leaves."""
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(shutil.copytree(recordings, tmp_path, dirs_exist_ok=True))
     monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
-    write_robots(tmp_path)
-    (tmp_path / "stand.xml").write_text(STAND)
-    for seed, name in enumerate(("a", "b")):
-        headers, gains = {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}, {"kp": 15, "kd": 0.5}
-        path = tmp_path / f"{name}.csv"
-        record(path, STAND, SHAFT, gains, headers, seconds=20.0, noise=ENCODER, seed=seed, substeps=SUBSTEPS)
 
     def run(page: str, first: int = 0) -> dict[str, Any]:
         names: dict[str, Any] = {"__name__": page}
