@@ -362,7 +362,10 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         r"make targets RUNS=.*|python benchmarks/targets\.py .*",
         left_to("test_targets::test_exports_move_in_mujoco_4_as_in_this_one"),
     ),
-    (r"make docs", left_to("test_docs::site", "test_readme::test_the_pages_of_plug_ins_are_made_from_their_docstrings")),
+    (
+        r"make docs",
+        left_to("test_docs::site", "test_readme::test_the_pages_of_plug_ins_are_made_from_their_docstrings"),
+    ),
     (r"make \w+", leave_target_to_ci),
     (r"mkdocs serve", serve_documentation, SLOW),
     (r"tensorboard --logdir outputs", serve_tensorboard, SLOW),

@@ -262,7 +262,7 @@ def test_it_finds_what_the_command_line_finds(
         for known in (row, *row["by_joint"]):
             del known["low"], known["high"]  # a number that is known has no bounds of its own
     for result in (ran, found):
-        del result["verdict"]["commands"]  # of a program they are Python
+        del result["verdict"]["commands"]  # a program has none
     differing = {key for key in ran.keys() | found.keys() if ran.get(key) != found.get(key)}
     assert differing <= {"timing", "settings"}
     left, kept = ran["settings"], found["settings"]

@@ -12,14 +12,12 @@ import pytest
 from conftest import Finished
 from omegaconf import OmegaConf
 
-import frictionzoo as fz
-from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.bench import Bench
 from frictionzoo.bench.given import Given
 from frictionzoo.core.config import compose_config
-from frictionzoo.data.files import Files
 from frictionzoo.diagnostics import check_up
 from frictionzoo.diagnostics.findings import Repair
-from frictionzoo.identification.repairs import bench_call, complete_options, logs_call
+from frictionzoo.identification.commands import complete_options
 from frictionzoo.report.run_page import list_uses
 from frictionzoo.report.terminal import summarise
 from frictionzoo.result.verdict import DO_NOT_USE, is_usable, judge
@@ -147,16 +145,3 @@ def test_a_value_outside_its_bounds_takes_the_bounds_along(two_joints: Bench) ->
     options = complete_options(repairs, two_joints, {"bench": params, "data": {}})
     assert options["bench.actuator.params.kp.init"] == [600.0, 600.0]
     assert options["bench.actuator.params.kp.high"] == 6000.0
-
-
-def test_a_repair_in_python_is_a_call(weak: Path) -> None:
-    bench = Bench("knee_rod.xml", actuator=PositionPD(kp=20, kd=1))
-    options = {"bench.actuator.params.kp.init": 3.02, "bench.params.delay.identify": True, "data.sign.ctrl": -1}
-    options |= {"data.clean.spikes": "repair"}
-    repaired: Bench = eval(bench_call(options), {"bench": bench})
-    assert repaired.initial_values()["kp"].tolist() == [3.02] and repaired.params["delay"].is_identified
-    section = dict(Files(train=[str(weak)]).read().section)
-    logs = eval(logs_call(options, section) or "", {"fz": fz})
-    (log,), (plain,) = list(logs), list(fz.read(weak))
-    np.testing.assert_array_equal(log.ctrl, -plain.ctrl)
-    assert logs.section["clean"]["spikes"] == "repair"

@@ -1,8 +1,6 @@
 """The verdict: one finding is never nothing, and three commands can be copied."""
 
-import ast
 import copy
-import inspect
 import json
 import shlex
 from collections.abc import Callable
@@ -12,7 +10,6 @@ from typing import Any
 import pytest
 from conftest import Finished
 
-import frictionzoo as fz
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench.limits import Limits
 from frictionzoo.cli.design import _parse as parse_excite
@@ -236,14 +233,3 @@ def test_the_terminal_ends_with_the_verdict(finished_run: Run) -> None:
     assert [line for line in lines[at + 1 :] if line.startswith("warning: ")] and lines[-4].startswith("next: ")
     assert any(line.startswith("files: ") for line in lines[:at])
     assert finished.out.rstrip() == "\n".join(lines)
-
-
-def test_a_run_from_python_is_told_calls(finished_run: Run) -> None:
-    """Their names are those of the package, and their arguments those that were given."""
-    origin = Origin.of_call({"recipe": "auto", "segments": {"length": 50}, "method": object()})
-    call = f"fz.identify({', '.join(['bench', repr('ripple'), 'logs', *origin.options])})"
-    (statement,) = ast.parse(call).body
-    assert isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call)
-    given = {word.arg: ast.unparse(word.value) for word in statement.value.keywords}
-    assert given == {"recipe": "'auto'", "segments": "{'length': 50}", "method": "method"}
-    inspect.signature(fz.identify).bind(None, "ripple", None, **given)

@@ -2,9 +2,8 @@
 
 import contextlib
 import copy
-import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -35,7 +34,6 @@ from frictionzoo.data.split import Split
 from frictionzoo.fit import Fit
 from frictionzoo.fit.base import REGISTRY as METHODS
 from frictionzoo.identification import Parts, Problem, solve
-from frictionzoo.identification.commands import Origin
 from frictionzoo.identification.recipe import leave_open, refuse_unknown
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.by_name import law_section
@@ -250,7 +248,6 @@ def identify(
     Raises:
         FrictionzooError: The input is invalid.
     """
-    asked = dict(locals())
     refuse_late_fork()
     refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
     _refuse_unknown(law)
@@ -282,8 +279,7 @@ def identify(
     parts = Parts.settle(settings | {"logger": None}, bench, recordings.divide(), copy.deepcopy(model), fit)
     with parts.computing() as place:
         name = law if isinstance(law, str) else model.name
-        drive = solve(Problem.pose(parts), name, place, origin=Origin.of_call(_said(identify, asked)))
-    return Identified.of(drive)
+        return Identified.of(solve(Problem.pose(parts), name, place))
 
 
 @_naming_arguments()
@@ -359,13 +355,6 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
         ConfigError: There is no such option, or its value is invalid.
     """
     return _make_law(name, nv, {"scale": scale} if scale else {}, options)
-
-
-def _said(function: Callable[..., Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keyword-only arguments that differ from their defaults."""
-    parameters = inspect.signature(function).parameters.values()
-    named = [one for one in parameters if one.kind is inspect.Parameter.KEYWORD_ONLY]
-    return {one.name: arguments[one.name] for one in named if arguments[one.name] is not one.default}
 
 
 def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> FrictionModel:

@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -10,12 +10,12 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.bench import Bench
 from frictionzoo.bench.limits import Limits, refuse_unholdable
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.identification.problem import Problem
 from frictionzoo.identification.recorded_limits import recorded_limits, usual_inputs
-from frictionzoo.identification.repairs import bench_call, complete_options, logs_call
 from frictionzoo.models import TorchFriction
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.sees import SEES, observe, simpler_law, suggest_law
@@ -30,23 +30,24 @@ _OF_THE_FOLDER = re.compile(r"[+~]*(resume|output)=")
 _OF_THE_LAW = re.compile(r"[+~]*model\b")
 _OF_THE_DRIVE = re.compile(r"(bench|data|experiment)=|(bench|scale)\.")
 _OF_THE_DATA = re.compile(r"(data|experiment)\b")
+_PARAMS, _SIGN = ".params.", "data.sign."
+_WIDER = 10.0  # distance factor of a new bound from a repaired value outside the bounds
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The request for a run, from a shell or from Python.
+    """The shell command of a run.
 
     Attributes:
-        command: The shell command before the options; None for a call from Python.
-        options: Options as `KEY=VALUE`, without those in `law`; for a call from Python, the arguments that differ from
-            their defaults, as `NAME=VALUE`.
-        folder: The run's folder; None for a run in memory.
-        law: Shell options that choose the friction model and its parameters.
+        command: The command before the options.
+        options: Options as `KEY=VALUE`, without those in `law`.
+        folder: The run's folder.
+        law: Options that choose the friction model and its parameters.
     """
 
-    command: str | None = None
-    options: tuple[str, ...] = ()
-    folder: Path | None = None
+    command: str
+    options: tuple[str, ...]
+    folder: Path
     law: tuple[str, ...] = ()
 
     @classmethod
@@ -56,47 +57,28 @@ class Origin:
         law = tuple(each for each in options if _OF_THE_LAW.match(each))
         return cls(_RUN if teacher is None else f"{_DISTILL} {shlex.quote(teacher)}", tuple(kept), folder, law)
 
-    @classmethod
-    def of_call(cls, arguments: Mapping[str, Any]) -> "Origin":
-        """Return the origin of a call of `frictionzoo.identify`; arguments without a plain value appear by name."""
-        return cls(None, tuple(f"{name}={_write(name, value)}" for name, value in arguments.items()))
-
     @property
     def place(self) -> str:
         """The run's folder, quoted for a shell; relative if it is inside the working directory."""
-        folder = Path() if self.folder is None else self.folder
-        inside = folder.is_absolute() and folder.is_relative_to(Path.cwd())
-        return shlex.quote(str(folder.relative_to(Path.cwd()) if inside else folder))
-
-
-IN_MEMORY = Origin()
-"""A call from Python with default arguments."""
+        inside = self.folder.is_absolute() and self.folder.is_relative_to(Path.cwd())
+        return shlex.quote(str(self.folder.relative_to(Path.cwd()) if inside else self.folder))
 
 
 def suggest_commands(
     problem: Problem, values: Mapping[str, Any], residual: ResidualRow | None, origin: Origin
 ) -> list[CommandRow]:
-    """Return commands for a shell, or calls for Python; the verdict may still drop some.
+    """Return commands for a shell; the verdict may still drop some.
 
     Args:
         problem: The problem that was identified.
         values: Values of the bench's parameters, by name.
         residual: The residual torque.
-        origin: The request for the run.
+        origin: The command of the run.
     """
     law = choose_law(problem, residual)
     limits = recorded_limits(problem.bench, values, problem.dataset.train)
     repairs = complete_options(_list_repairs(problem), problem.bench, problem.settings)
     excitable, found = _excitable(problem, values, limits), dict[str, str]()
-    if origin.command is None:
-        if repairs:
-            found["repair"] = _repair_in_python(problem, repairs, origin)
-        found["inspect"] = f"logs{'' if excitable else _NO_DESIGN}"
-        found["law"] = f"fz.identify({', '.join([f'bench, {law!r}, logs', *origin.options])})"
-        if excitable and _has_parameters(problem):
-            found["recording"] = _excite_in_python(limits)
-        found["export"] = f'drive.export("{TARGET}", "export")'
-        return _rows(found)
     if repairs:
         found["repair"] = _repair_in_shell(repairs, origin)
     found["inspect"] = _inspect_in_shell(origin) + ("" if excitable else _NO_DESIGN)
@@ -120,23 +102,69 @@ def _list_repairs(problem: Problem) -> list[Repair]:
     return [repair for repairs in alike for repair in repairs]
 
 
+def complete_options(repairs: Iterable[Repair], bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that make all these repairs; lists have an entry for each joint, repaired or not.
+
+    Args:
+        repairs: Repairs of one or several findings; the first one for an option and joint counts.
+        bench: The test stand of the run.
+        settings: All options of the run.
+    """
+    options: dict[str, Any] = {}
+    done: set[tuple[str, int | None]] = set()
+    for repair in repairs:
+        option, value, joint = repair.option, repair.value, repair.joint
+        if (option, joint) in done:
+            continue
+        done.add((option, joint))
+        if joint is None:
+            options.setdefault(option, value)
+            continue
+        entries = options.setdefault(option, _present(option, bench, settings))
+        entries[joint] = _times(entries[joint], value) if repair.is_factor else value
+    options |= _widen(options, settings)
+    return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in options.items()}
+
+
+def _present(option: str, bench: Bench, settings: Mapping[str, Any]) -> list[Any]:
+    """Return the current value of an option for each joint."""
+    if option.startswith(_SIGN):
+        sign = (settings["data"].get("sign") or {}).get(option.removeprefix(_SIGN), 1)
+        return np.broadcast_to(sign, bench.nv).tolist()
+    name = option.partition(_PARAMS)[2].partition(".")[0]
+    return bench.initial_values()[name].tolist()
+
+
+def _times(value: float | int, factor: float | int) -> float | int:
+    """Multiply a value as a user would write it: a sign stays whole."""
+    product = value * factor
+    return product if isinstance(product, int) else float(f"{product:.4g}")
+
+
+def _widen(options: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return wider bounds for parameters that a repair puts outside their current bounds."""
+    wider: dict[str, Any] = {}
+    for option, values in options.items():
+        *path, last = option.split(".")
+        section: Any = settings
+        for name in path:
+            section = section.get(name, {}) if isinstance(section, Mapping) else {}
+        if last != "init" or not isinstance(section, Mapping):
+            continue
+        low, high = section.get("low"), section.get("high")
+        stem = ".".join(path)
+        if isinstance(high, int | float) and max(values) > high:
+            wider[f"{stem}.high"] = _WIDER * max(values)
+        if isinstance(low, int | float) and min(values) < low:
+            wider[f"{stem}.low"] = min(values) / _WIDER
+    return wider
+
+
 def _repair_in_shell(repairs: Mapping[str, Any], origin: Origin) -> str:
     """Return the command of the same run with repaired options."""
     kept = [each for each in (*origin.options, *origin.law) if each.partition("=")[0].lstrip("+~") not in repairs]
     changed = [f"{name}={_plain(value)}" for name, value in repairs.items()]
-    return shlex.join([*shlex.split(origin.command or _RUN), *kept, *changed])
-
-
-def _repair_in_python(problem: Problem, repairs: Mapping[str, Any], origin: Origin) -> str:
-    model = problem.drive.model
-    law: Any = model.name
-    if isinstance(model, ByJoint):
-        law = {re.escape(name): model.of_joint(at)[0].name for at, name in enumerate(problem.bench.joints)}
-    logs = logs_call(repairs, problem.settings["data"])
-    if logs is None:
-        wanted = ", ".join(f"{name}={_plain(value)}" for name, value in repairs.items() if name.startswith("data."))
-        return f"logs  # not read from files: apply {wanted} to them"
-    return f"fz.identify({', '.join([bench_call(repairs), repr(law), logs, *origin.options])})"
+    return shlex.join([*shlex.split(origin.command), *kept, *changed])
 
 
 def _inspect_in_shell(origin: Origin) -> str:
@@ -204,14 +232,6 @@ def _excite_in_shell(problem: Problem, limits: Mapping[str, Any], law: str, orig
     return shlex.join([*_EXCITE.split(), *about, f"model={law}", *stated, *inputs])
 
 
-def _excite_in_python(limits: Mapping[str, Any]) -> str:
-    return f'fz.design_recording({_texts(limits)!r}, drive).save("excitation")'
-
-
-def _texts(limits: Mapping[str, Any]) -> dict[str, str]:
-    return {name: _plain(value) for name, value in limits.items()}
-
-
 _NO_DESIGN = "  # no command can be designed for this drive; record the motion that is missing"
 
 
@@ -222,12 +242,3 @@ def _plain(value: Any) -> str:
 
 def _round(value: float | np.floating) -> float:
     return float(f"{value:.3g}")
-
-
-def _write(name: str, value: Any) -> str:
-    """Return an argument of a call as code, or its name if its text is no literal."""
-    text = repr(value)
-    plain = isinstance(value, str | int | float | bool | None) or (
-        isinstance(value, dict | list | tuple) and not re.search(r"[<(]", text)
-    )
-    return text if plain else name

@@ -22,7 +22,7 @@ from frictionzoo.fit.loop import Record
 from frictionzoo.fit.posterior import Fitted
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
-from frictionzoo.identification.commands import IN_MEMORY, Origin, suggest_commands
+from frictionzoo.identification.commands import Origin, suggest_commands
 from frictionzoo.identification.discretisation import halve_step, in_other_steps, is_wanted
 from frictionzoo.identification.problem import Problem
 from frictionzoo.models import Baseline
@@ -51,7 +51,7 @@ def solve(
     *,
     record: Record | None = None,
     measured: Problem | None = None,
-    origin: Origin = IN_MEMORY,
+    origin: Origin | None = None,
 ) -> FittedDrive:
     """Identify a drive, in the `computing` context in which the problem was posed.
 
@@ -61,7 +61,7 @@ def solve(
         device: Name of the device, for the record.
         record: Where the fit's course is written; None: memory only.
         measured: The problem with measured segments, if the segments of `problem` are another drive's rollouts.
-        origin: The request for the run, from which the next commands are derived.
+        origin: Shell command of the run, from which the next commands are derived; None for a call from Python.
 
     Raises:
         FrictionzooError: The fit cannot begin, or the record cannot be written.
@@ -103,7 +103,7 @@ def solve(
         warnings=[doubt.text for doubt in problem.doubts],
         device=device,
         uncertainty=uncertainty,
-        commands=suggest_commands(problem, outcome.values["bench"], residual, origin),
+        commands=suggest_commands(problem, outcome.values["bench"], residual, origin) if origin else [],
         recipe=[{"option": option, "value": value, "reason": reason} for option, value, reason in problem.choices],
     )
     result = build_result(found)

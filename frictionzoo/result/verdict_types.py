@@ -43,7 +43,7 @@ class CommandRow(TypedDict):
     """Purpose: fix a finding, inspect the recordings, try another friction model, design the next recording, or export
     the drive."""
     command: Text
-    """Shell command; for a run from Python, a call with the variables bench, logs and drive, the result."""
+    """Shell command."""
 
 
 class VerdictRow(TypedDict):
