@@ -85,24 +85,15 @@ class Explained(NamedTuple):
 def commanded_torque(
     log: Log, bench: Bench, qvel: Float[np.ndarray, "time nv"] | None = None
 ) -> Float[np.ndarray, "time nv"]:
-    """Return the actuators' torque at recorded states [N m or N], with initial values and without delay.
-
-    Args:
-        log: Recording that the bench has accepted.
-        bench: The test stand.
-        qvel: Velocities that replace the recorded ones [rad/s or m/s].
-    """
+    """Return actuator torques of an accepted log [N m or N], at initial values and `qvel` if set, without delay."""
     values = {name: value for name, value in bench.initial_values().items() if name != "delay"}
     return actuator_torque(bench, log, values, qvel)
 
 
 def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
-    """Return a recording's torque balance; None if it is too short to filter or a value is not finite.
+    """Return an accepted log's torque balance; None if it is too short to filter or a value is not finite.
 
-    Args:
-        log: Recording that the bench has accepted.
-        bench: The test stand.
-        model: The bench compiled without a friction constraint; the log's load is put into it.
+    `model` is the bench compiled without a friction constraint; the log's load is put into it.
     """
     log = log.between(0, LONGEST, "start") if log.samples > LONGEST else log
     cutoff = min(BANDWIDTH, 0.1 / log.timestep)
@@ -119,8 +110,8 @@ def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
     rows = np.arange(edge, log.samples - edge, max(1, (log.samples - 2 * edge) // ROWS))
     bench.put_load(model, log.load)
     links = inverse_torque(model, qpos[rows], qvel[rows], qacc[rows])
-    found = Balance(torque[rows], links, qvel[rows], qacc[rows], rows, log.time[rows], torque, log.timestep)
-    return found if all(np.isfinite(values).all() for values in found) else None
+    filtered = Balance(torque[rows], links, qvel[rows], qacc[rows], rows, log.time[rows], torque, log.timestep)
+    return filtered if all(np.isfinite(values).all() for values in filtered) else None
 
 
 def explain(found: Balance, joint: int) -> Explained | None:
@@ -131,46 +122,40 @@ def explain(found: Balance, joint: int) -> Explained | None:
     if moving.sum() < FEW or not np.ptp(torque) > 0 or not BOTH_WAYS < forward < 1 - BOTH_WAYS:
         return None
     inertial = columns[:, [0, -1]]
-    alone = links - inertial @ np.linalg.lstsq(inertial, links, rcond=None)[0]
-    loaded = np.std(alone) > ALIKE * np.std(links) and np.ptp(links) > 0
-    without = _regress(columns, torque)[2] if loaded else np.nan
+    noninertial = links - inertial @ np.linalg.lstsq(inertial, links, rcond=None)[0]
+    loaded = np.std(noninertial) > ALIKE * np.std(links) and np.ptp(links) > 0
+    without_links = _regress(columns, torque)[2] if loaded else np.nan
     columns = np.column_stack([links, columns]) if loaded else columns
-    values, errors, left = _regress(columns, torque)
+    values, errors, unexplained = _regress(columns, torque)
     share, error = (values[0], errors[0]) if loaded else (np.nan, np.nan)
-    at = int(loaded)
-    fastest = float(np.quantile(np.abs(torque), 0.99)) / max(abs(float(values[at])), 1e-300)
-    numbers = left, float(share), float(error), float(values[at]), float(errors[at])
-    return Explained(*numbers, without - left if loaded else 0.0, fastest)
+    index = int(loaded)
+    fastest = float(np.quantile(np.abs(torque), 0.99)) / max(abs(float(values[index])), 1e-300)
+    numbers = unexplained, float(share), float(error), float(values[index]), float(errors[index])
+    return Explained(*numbers, without_links - unexplained if loaded else 0.0, fastest)
 
 
 def mismatch(found: Balance) -> Float[np.ndarray, "nv"]:
     """Return the unexplained variance share of each joint's torque with `share` fixed at 1; 0 if too few rows move."""
-    left = np.zeros(found.torque.shape[1])
-    for joint in range(len(left)):
+    unexplained = np.zeros(found.torque.shape[1])
+    for joint in range(len(unexplained)):
         moving, columns = _passive(found, joint)
         torque, links = found.torque[moving, joint], found.links[moving, joint]
         if moving.sum() >= FEW and np.ptp(torque) > 0:
-            rest = torque - links
-            rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
-            left[joint] = np.var(rest) / np.var(torque)
-    return left
+            residual = torque - links
+            residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
+            unexplained[joint] = np.var(residual) / np.var(torque)
+    return unexplained
 
 
 def delayed(
     found: Balance, joints: Sequence[int], part: slice
 ) -> tuple[Float[np.ndarray, "lags"], Float[np.ndarray, "lags"]]:
-    """Return lags [s] of the torque, and for each the unexplained variance share, mean over joints.
-
-    Args:
-        found: The balance.
-        joints: Indices of the joints.
-        part: Rows to use.
-    """
+    """Return lags [s] of the torque and the unexplained variance share for each, mean over `joints`, in rows `part`."""
     rows = found.rows[part]
     step = max(1, round(FINEST / found.timestep))
     steps = np.arange(-(FARTHEST // found.timestep), FARTHEST // found.timestep + 1, step).astype(int)
     steps = steps[(rows[0] - steps >= 0) & (rows[-1] - steps < len(found.whole))]
-    left, counted = np.zeros(len(steps)), 0
+    unexplained, counted = np.zeros(len(steps)), 0
     cut = found._replace(
         torque=found.torque[part], links=found.links[part], qvel=found.qvel[part], qacc=found.qacc[part]
     )
@@ -179,23 +164,22 @@ def delayed(
         columns = np.column_stack([cut.links[moving, joint], columns])
         if moving.sum() >= FEW:
             basis = _orthogonal(columns)
-            for at, samples in enumerate(steps):
+            for index, samples in enumerate(steps):
                 torque = found.whole[rows[moving] - samples, joint]
                 torque = torque - torque.mean()
-                whole = max(float(torque @ torque), 1e-300)
-                left[at] += (whole - float(np.sum((basis.T @ torque) ** 2))) / whole
+                total = max(float(torque @ torque), 1e-300)
+                unexplained[index] += (total - float(np.sum((basis.T @ torque) ** 2))) / total
             counted += 1
-    return (steps * found.timestep, left / counted) if counted else (np.zeros(0), np.zeros(0))
+    return (steps * found.timestep, unexplained / counted) if counted else (np.zeros(0), np.zeros(0))
 
 
 def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, "rows rank"]:
-    """Return an orthonormal basis of the column space."""
     basis, sizes, _ = np.linalg.svd(columns / np.maximum(np.abs(columns).max(axis=0), 1e-300), full_matrices=False)
     return basis[:, sizes > 1e-9 * sizes.max()]
 
 
 def _passive(found: Balance, joint: int) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "moving 4"]]:
-    """Return which rows move a joint, and the regression columns of inertia and friction in these rows."""
+    """Return which rows move a joint, and their regression columns of inertia and friction."""
     speed = np.abs(found.qvel[:, joint])
     moving = speed > SLOW * np.quantile(speed, 0.99)
     qvel, qacc = found.qvel[moving, joint], found.qacc[moving, joint]
@@ -209,6 +193,6 @@ def _regress(
     size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     scaled = columns / size
     values = np.linalg.lstsq(scaled, torque, rcond=None)[0]
-    rest = torque - scaled @ values
-    spread = CORRELATED * np.var(rest) * np.diag(np.linalg.pinv(scaled.T @ scaled))
-    return values / size, np.sqrt(spread) / size, float(np.var(rest) / np.var(torque))
+    residual = torque - scaled @ values
+    spread = CORRELATED * np.var(residual) * np.diag(np.linalg.pinv(scaled.T @ scaled))
+    return values / size, np.sqrt(spread) / size, float(np.var(residual) / np.var(torque))

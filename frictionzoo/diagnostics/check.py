@@ -1,4 +1,4 @@
-"""`Check`: outcome of one check, as pages and `inspect.json` list it."""
+"""Outcome of one check, as pages and `inspect.json` list it."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,6 @@ class Check:
 
     Attributes:
         state: `good`, `note`, `caution` or `bad`.
-        title: Subject of the check.
         text: Outcome in plain sentences.
         option: Option to add to the command line; None for none.
     """

@@ -20,7 +20,7 @@ CARRIED = -0.5  # the same for a joint that other joints move, and that its actu
 
 
 def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None) -> Iterator[tuple[str, bool, str]]:
-    """Find a constant or clipped command; `follows` is the position that should follow it, None for none."""
+    """Find a constant or clipped command; `follows` is the position that should follow it, if any."""
     low, high = float(ctrl.min()), float(ctrl.max())
     if low == high:
         yield (
@@ -33,10 +33,10 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
     share = np.round((ctrl - low) / (high - low), 6)
     ends = float(np.mean((share == 0) | (share == 1)))
     _, counts = np.unique(share, return_counts=True)
-    steps = np.sort(counts)[-LEVELS:].sum() > HELD * len(ctrl)
+    is_stepped = np.sort(counts)[-LEVELS:].sum() > HELD * len(ctrl)
     # A position commanded to rest at two ends does not go far beyond them.
-    passed = 1.0 if follows is None else max(low - follows.min(), follows.max() - high) / (high - low)
-    if ends > SATURATED and passed > PAST and (not steps or (follows is not None and passed > FAR_PAST)):
+    overshoot = 1.0 if follows is None else max(low - follows.min(), follows.max() - high) / (high - low)
+    if ends > SATURATED and overshoot > PAST and (not is_stepped or (follows is not None and overshoot > FAR_PAST)):
         yield (
             "saturated",
             False,
@@ -49,12 +49,12 @@ def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Said
     """Find a command that takes energy from the drive; uncertain if other joints move this one."""
     if not takes_energy(bench, joint, share):
         return
-    took = f"ctrl{of} takes energy from the drive ({100 * share:.0f} % of the energy that they exchange)"
+    text = f"ctrl{of} takes energy from the drive ({100 * share:.0f} % of the energy that they exchange)"
     if _is_alone(bench, joint):
         yield (
             "work",
             True,
-            f"{took}, expected to supply it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or check qpos "
+            f"{text}, expected to supply it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or check qpos "
             "and ctrl for swapped columns, units, zero and time shift (data.columns, data.units, "
             "data.clean.command_lag)",
             turn(joint, "ctrl"),
@@ -63,7 +63,7 @@ def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Said
         yield (
             "work",
             False,
-            f"{took}: correct if gravity or other joints move it, else check its sign (data.sign.ctrl)",
+            f"{text}: correct if gravity or other joints move it, else check its sign (data.sign.ctrl)",
         )
 
 
@@ -79,9 +79,9 @@ def _is_alone(bench: Bench, joint: int) -> bool:
 def work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
     """Return the net work of the commands on each joint, as a share of the energy that they exchange.
 
-    The actuator's torque is taken at zero velocity, without its damping, at initial values. Over a recording, friction
-    and damping dissipate the work, except for the energy stored between first and last state. The net work is
-    therefore not negative, however late the drive follows, up to half a period.
+    The actuator's torque is taken at initial values and zero velocity, without its damping. Friction and damping
+    dissipate the work, except for the energy stored between first and last state. Net work is therefore not negative,
+    however late the drive follows, up to half a period.
     """
     power = commanded_torque(log, bench, np.zeros_like(log.qvel)) * log.qvel
     return power.sum(axis=0) / np.maximum(np.abs(power).sum(axis=0), 1e-300)

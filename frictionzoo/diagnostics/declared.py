@@ -17,17 +17,17 @@ MEANS = {"hinge": "angles", "slide": "lengths"}
 
 def check_declared(dataset: Dataset, bench: Bench, to_position: bool) -> Iterator[Finding]:
     """Find lengths on a hinge, angles on a slide, and commands that the actuator law does not accept."""
-    said: dict[str, str] = {}
+    unit: dict[str, str] = {}
     for log in dataset.logs:
-        said |= log.units
+        unit |= log.units
     joints = ", ".join(bench.joints[:3]) + (", ..." if bench.nv > 3 else "")
     for signal in ("qpos", "ctrl"):
-        kind = UNITS.get(said.get(signal, "").replace(" ", ""))
+        kind = UNITS.get(unit.get(signal, "").replace(" ", ""))
         if kind in MEANS and (signal == "qpos" or to_position) and kind != bench.joint_type:
             yield Finding(
                 f"declared {signal}",
                 True,
-                f"{dataset.name}: {signal} is in {said[signal]}, expected {MEANS[bench.joint_type]} for {joints} of "
+                f"{dataset.name}: {signal} is in {unit[signal]}, expected {MEANS[bench.joint_type]} for {joints} of "
                 f"{bench.source}, a {bench.joint_type}; choose the bench of these recordings (bench=NAME, or "
                 f"bench.mjcf and bench.joint), or set data.units.{signal}",
             )
@@ -37,7 +37,7 @@ def check_declared(dataset: Dataset, bench: Bench, to_position: bool) -> Iterato
             yield Finding(
                 "declared ctrl",
                 True,
-                f"{dataset.name}: ctrl is in {said[signal]}, expected {wanted} for {law} of {bench.source}; choose the "
+                f"{dataset.name}: ctrl is in {unit[signal]}, expected {wanted} for {law} of {bench.source}; choose the "
                 "bench of these recordings (bench=NAME) or its actuator (bench.actuator._target_), or set "
                 "data.units.ctrl",
             )

@@ -13,10 +13,8 @@ class Repair(NamedTuple):
     """An option that repairs a finding.
 
     Attributes:
-        option: Name of the option.
-        value: Its new value, or a factor on the current one.
+        value: Its new value, or a factor on the current one if `is_factor`.
         joint: Index of the joint whose entry changes; None for all joints.
-        is_factor: Whether `value` is a factor.
     """
 
     option: str
@@ -30,12 +28,7 @@ Said = tuple[str, bool, str] | tuple[str, bool, str, tuple[Repair, ...]]
 
 
 class Doubt(NamedTuple):
-    """A warning about a likely fault, with its repairs.
-
-    Attributes:
-        text: The sentence.
-        repairs: Options that are all needed; empty if the user has to decide.
-    """
+    """A warning about a likely fault; all its repairs are needed, and there are none if the user has to decide."""
 
     text: str
     repairs: tuple[Repair, ...] = ()
@@ -62,7 +55,7 @@ class Finding(NamedTuple):
 
     @classmethod
     def of(cls, said: Said, log: str, joint: str = "") -> "Finding":
-        """Return the finding with its recording and joint, if it has one."""
+        """Return the finding with its recording and joint."""
         return cls(*said[:3], log, joint, said[3] if len(said) > 3 else ())
 
 
@@ -85,10 +78,7 @@ def identify_delay(lag: float) -> tuple[Repair, ...]:
 def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Doubt]:
     """Refuse certain findings if `strict`, and return the others, each kind once per joint.
 
-    Args:
-        findings: Findings, the most important first.
-        checkup: One of `CHECKUPS`.
-        count: Number of recordings.
+    `findings` begin with the most important one; `count` is the number of recordings.
 
     Raises:
         LogError: A finding is certain, and `checkup` is `strict`.
@@ -96,14 +86,14 @@ def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Doubt]
     """
     if checkup not in CHECKUPS:
         raise ConfigError(f"checkup={checkup}: unknown; {closest(str(checkup), CHECKUPS)}")
-    told: dict[tuple[str, str], tuple[Finding, set[str]]] = {}
+    groups: dict[tuple[str, str], tuple[Finding, set[str]]] = {}
     for finding in findings:
         if finding.certain and checkup == "strict":
             raise LogError(f"{_say(finding)}; if the recording is correct, set checkup=warn")
-        told.setdefault((finding.kind, finding.joint), (finding, set()))[1].add(finding.log)
+        groups.setdefault((finding.kind, finding.joint), (finding, set()))[1].add(finding.log)
     return [
         Doubt(_say(first) + (f" ({len(logs)} of {count} logs)" if count > 1 and first.log else ""), first.repairs)
-        for first, logs in told.values()
+        for first, logs in groups.values()
     ]
 
 

@@ -22,10 +22,7 @@ SMALLER = 8.0  # inverse scale above which units are likely wrong
 FAR_SMALLER = 20.0  # inverse scale that no weak gain explains
 APART = 0.5  # smallest distance of position and command, over their motion, that indicates different zeros
 DEGREE = 0.1  # relative tolerance of a factor that is recognised as a unit, such as 57.3 for degrees
-MUCH_BETTER, FAR_BETTER = (
-    0.5,
-    0.1,
-)  # misfit relative to that at usual lags, below which another lag is better, and certain
+MUCH_BETTER, FAR_BETTER = 0.5, 0.1  # misfit over the misfit at usual lags, below which another lag is better, certain
 POOR = 0.02  # misfit at usual lags below which a position follows, even if another lag is better
 EARLY = 0.01  # s, smallest lead of a position that counts
 LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness: their sum is the largest usual lag
@@ -42,7 +39,6 @@ class Followed(NamedTuple):
         qpos: Position without outliers [rad or m].
         ctrl: Command without outliers [rad or m].
         on: Samples in which the drive should follow.
-        likeness: Similarity of both at many lags.
         settles: Damping over stiffness of the actuator law, which explains a lag of the position [s].
         work: Net work of the command, as a share of the energy that it exchanges.
     """
@@ -57,31 +53,25 @@ class Followed(NamedTuple):
 
 def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -> float:
     """Return damping over stiffness of the actuator law near its desired position [s]; 0 without stiffness."""
-    values, law, still = bench.initial_values(), bench.actuator, np.zeros_like(log.qpos)
+    values, law, zero = bench.initial_values(), bench.actuator, np.zeros_like(log.qpos)
     affine, small = law.affine(values), 1e-4
 
     def torque(qvel: Float[np.ndarray, "time nv"], ctrl: Float[np.ndarray, "time nv"]) -> np.ndarray:
-        given = law.control(np, values, still, qvel, ctrl, log.inputs)
-        return np.asarray(affine.gain * given + affine.bias2 * qvel)[on, joint]
+        control = law.control(np, values, zero, qvel, ctrl, log.inputs)
+        return np.asarray(affine.gain * control + affine.bias2 * qvel)[on, joint]
 
-    stiffness = float(np.median(torque(still, still + small) - torque(still, still - small)))
-    damping = float(np.median(torque(still - small, still) - torque(still + small, still)))
+    stiffness = float(np.median(torque(zero, zero + small) - torque(zero, zero - small)))
+    damping = float(np.median(torque(zero - small, zero) - torque(zero + small, zero)))
     return max(damping / stiffness, 0.0) if stiffness > 0 else 0.0
 
 
 def check_following(
     log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool, swapped: int | None
 ) -> Iterator[Said]:
-    """Find faults of a position and its command.
+    """Find faults of a position and its command; `of` names the joint in messages.
 
-    Args:
-        log: The recording.
-        of: The joint, in messages.
-        bench: The test stand.
-        joint: Index of the joint.
-        found: Its position compared with its command.
-        drifts: Whether the lag changes over the recording, so that a single lag has no meaning.
-        swapped: Index of the joint whose command it follows instead; None for none.
+    If the lag `drifts` over the recording, a single lag has no meaning. `swapped` is the joint whose command this joint
+    follows instead, if any.
     """
     least = max(2 * log.timestep, EARLY)
     usual = found.likeness.between(-least, max(LATE, found.settles))
@@ -115,21 +105,23 @@ def check_following(
 
 
 def find_swaps(log: Log, followed: Mapping[int, Followed]) -> dict[int, int]:
-    """Return the joints that follow another joint's command, with that joint, if exchanged commands suit them all."""
-    own = {joint: float(one.likeness.between(0.0, LATEST_OTHER).distance.min()) for joint, one in followed.items()}
-    astray = [joint for joint, one in followed.items() if own[joint] > OTHER * np.std(one.qpos[one.on])]
-    apart = np.zeros((len(astray), len(astray)))
-    for row, joint in enumerate(astray):
-        one = followed[joint]
-        for column, other in enumerate(astray):
-            beside = compare(one.qpos, followed[other].ctrl, log.timestep, one.on).between(0.0, LATEST_OTHER)
-            apart[row, column] = float(beside.distance.min())
-    rows, columns = scipy.optimize.linear_sum_assignment(apart**2)
-    found = {astray[row]: astray[column] for row, column in zip(rows, columns, strict=True) if row != column}
-    nearer = all(
-        apart[row, column] < OTHER * apart[row, row] for row, column in zip(rows, columns, strict=True) if row != column
+    """Map each joint to the joint whose command it follows instead, if exchanged commands suit them all."""
+    distances = {
+        joint: float(pair.likeness.between(0.0, LATEST_OTHER).distance.min()) for joint, pair in followed.items()
+    }
+    suspects = [joint for joint, pair in followed.items() if distances[joint] > OTHER * np.std(pair.qpos[pair.on])]
+    cost = np.zeros((len(suspects), len(suspects)))
+    for row, joint in enumerate(suspects):
+        pair = followed[joint]
+        for column, other in enumerate(suspects):
+            likeness = compare(pair.qpos, followed[other].ctrl, log.timestep, pair.on).between(0.0, LATEST_OTHER)
+            cost[row, column] = float(likeness.distance.min())
+    rows, columns = scipy.optimize.linear_sum_assignment(cost**2)
+    swaps = {suspects[row]: suspects[column] for row, column in zip(rows, columns, strict=True) if row != column}
+    are_closer = all(
+        cost[row, column] < OTHER * cost[row, row] for row, column in zip(rows, columns, strict=True) if row != column
     )
-    return found if nearer else {}
+    return swaps if are_closer else {}
 
 
 def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]]:
@@ -151,15 +143,14 @@ def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
     """Find a lag behind the command that changes over the recording."""
     lags = []
     for window in np.array_split(np.arange(log.samples), WINDOWS):
-        # Lags need commands before and after the window.
-        around = slice(max(0, window[0] - len(window)), window[-1] + len(window))
+        around = slice(max(0, window[0] - len(window)), window[-1] + len(window))  # lags need commands on both sides
         inside = np.zeros(log.samples, bool)
         inside[window] = found.on[window]
         lag = None
         if inside.sum() >= SHORTEST:
-            part = compare(found.qpos[around], found.ctrl[around], log.timestep, inside[around])
-            follows = len(part.lags) > 2 and part.correlation.max() > FOLLOWS
-            lag = pick_lag(part.lags, part.misfit) if follows else None
+            likeness = compare(found.qpos[around], found.ctrl[around], log.timestep, inside[around])
+            follows = len(likeness.lags) > 2 and likeness.correlation.max() > FOLLOWS
+            lag = pick_lag(likeness.lags, likeness.misfit) if follows else None
         lags.append(None if lag is None else (float(log.time[window].mean()), lag))
     if drift := find_drift(lags):
         yield "drift", False, say_drift(drift)
@@ -171,8 +162,8 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
     late = LATE + GAINS * found.settles
     # A periodic command matches equally well a period later.
     usual = float(likeness.between(-least, late).misfit.min())
-    better, poor = float(likeness.misfit.min()) / max(usual, 1e-12), usual > POOR
-    if lag < -least and (better < MUCH_BETTER if found.work < 0 else better < FAR_BETTER and poor):
+    ratio, is_poor = float(likeness.misfit.min()) / max(usual, 1e-12), usual > POOR
+    if lag < -least and (ratio < MUCH_BETTER if found.work < 0 else ratio < FAR_BETTER and is_poor):
         yield (
             "early",
             True,
@@ -180,7 +171,7 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
             f"data.clean.command_lag={-lag + found.settles:.2g} (s), or its true lag",
             (Repair("data.clean.command_lag", float(f"{-lag + found.settles:.2g}")),),
         )
-    elif lag > late and better < MUCH_BETTER and poor:
+    elif lag > late and ratio < MUCH_BETTER and is_poor:
         yield (
             "late",
             False,
@@ -192,7 +183,7 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
 
 
 def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bool, str]]:
-    """Find a position whose scale or zero differs from its command's."""
+    """Find a position with another scale or zero than its command."""
     scale = float(found.likeness.scale[found.likeness.best])
     qpos, ctrl = found.qpos[found.on], found.ctrl[found.on]
     moved, asked, apart = np.ptp(qpos), np.ptp(ctrl), float(np.abs(qpos - ctrl).min())
@@ -213,7 +204,7 @@ def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bo
 
 
 def _mend(scale: float, slide: bool) -> str:
-    """Return the option of the unit or gear ratio that gives a position the scale of its command."""
+    """Return the unit or gear ratio that gives a position the scale of its command."""
     signal, factor = ("qpos", scale) if scale > 1 else ("ctrl", 1 / scale)
     unit, size = ("mm", 1000.0) if slide else ("deg", 180 / math.pi)
     alike = " (and data.units.qvel)" if signal == "qpos" else ""

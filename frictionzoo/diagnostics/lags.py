@@ -35,9 +35,9 @@ class Likeness(NamedTuple):
 
     def between(self, low: float, high: float) -> "Likeness":
         """Return the similarity at lags from low to high [s]; if there are none, at those closest to low."""
-        kept = (self.lags >= low) & (self.lags <= high)
-        kept = kept if kept.any() else np.abs(self.lags - low) == np.abs(self.lags - low).min()
-        return Likeness(*(values[kept] for values in self))
+        inside = (self.lags >= low) & (self.lags <= high)
+        inside = inside if inside.any() else np.abs(self.lags - low) == np.abs(self.lags - low).min()
+        return Likeness(*(values[inside] for values in self))
 
     @property
     def best(self) -> int:
@@ -51,12 +51,7 @@ class Likeness(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """Change of a lag over a recording.
-
-    Attributes:
-        first: Lag at the start [s].
-        last: Lag at the end [s].
-    """
+    """Lag at the start and at the end of a recording [s]."""
 
     first: float
     last: float
@@ -70,35 +65,31 @@ def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndar
     signal, reference = signal - signal.mean(), reference - signal.mean()
     length = scipy.fft.next_fast_len(2 * len(signal) - 1, real=True)
     weight, ones = on.astype(float), np.ones(len(signal))
-    signals = [scipy.fft.rfft(each, length) for each in (weight, weight * signal, weight * signal**2)]
-    others = [scipy.fft.rfft(each, length).conj() for each in (ones, reference, reference**2)]
+    signals = [scipy.fft.rfft(values, length) for values in (weight, weight * signal, weight * signal**2)]
+    others = [scipy.fft.rfft(values, length).conj() for values in (ones, reference, reference**2)]
     pairs = [(0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (1, 1)]
     sums = np.asarray(scipy.fft.irfft(np.stack([signals[s] * others[r] for s, r in pairs]), length))
     farthest = min(round(FARTHEST / timestep), len(signal) - 1)
     steps = np.arange(-farthest, farthest + 1)
     sums = np.take(sums, steps, axis=1, mode="wrap")
-    kept = sums[0] > max(2.0, 0.5 * weight.sum())
-    sum_s, square_s, sum_r, square_r, product = sums[1:, kept] / sums[0, kept]
-    both, variance_s, variance_r = product - sum_s * sum_r, square_s - sum_s**2, square_r - sum_r**2
-    least = 1e-12 * max(float(np.mean(signal**2)), float(np.mean(reference**2)), 1e-300)
-    correlation = both / np.sqrt(np.maximum(variance_s, least) * np.maximum(variance_r, least))
+    has_partners = sums[0] > max(2.0, 0.5 * weight.sum())
+    sum_s, square_s, sum_r, square_r, product = sums[1:, has_partners] / sums[0, has_partners]
+    covariance, variance_s, variance_r = product - sum_s * sum_r, square_s - sum_s**2, square_r - sum_r**2
+    floor = 1e-12 * max(float(np.mean(signal**2)), float(np.mean(reference**2)), 1e-300)
+    correlation = covariance / np.sqrt(np.maximum(variance_s, floor) * np.maximum(variance_r, floor))
     distance = np.sqrt(np.maximum(square_s + square_r - 2 * product, 0.0))
-    return Likeness(steps[kept] * timestep, correlation, both / np.maximum(variance_r, least), distance)
+    return Likeness(steps[has_partners] * timestep, correlation, covariance / np.maximum(variance_r, floor), distance)
 
 
 def find_drift(found: list[tuple[float, float] | None]) -> Drift | None:
-    """Return the drift of a lag over a recording; None if it does not drift.
-
-    Args:
-        found: Time and lag of each window [s]; None for a window without a clear lag.
-    """
-    known = [pair for pair in found if pair is not None]
-    if len(known) < WINDOWS - 1:
+    """Return the drift of a lag, if any, from time and lag of each window [s]; None for windows without a clear lag."""
+    pairs = [pair for pair in found if pair is not None]
+    if len(pairs) < WINDOWS - 1:
         return None
-    when, lags = np.array(known).T
+    when, lags = np.array(pairs).T
     slope, start = np.polyfit(when, lags, 1)
     scatter = float(np.abs(lags - (start + slope * when)).max())
-    first, last = (float(start + slope * when[at]) for at in (0, -1))
+    first, last = (float(start + slope * when[index]) for index in (0, -1))
     return Drift(first, last) if abs(last - first) > max(DRIFT, scatter / STEADY) else None
 
 
@@ -113,6 +104,6 @@ def say_drift(drift: Drift) -> str:
 
 def pick_lag(lags: Float[np.ndarray, "lags"], misfit: Float[np.ndarray, "lags"]) -> float | None:
     """Return the lag with the lowest misfit [s]; None if distant lags are nearly as good or it lies at an end."""
-    at = int(np.argmin(misfit))
-    near = lags[misfit < NEARLY * misfit[at] + ROUNDING]
-    return None if at in (0, len(lags) - 1) or near.max() - near.min() > SURE else float(lags[at])
+    index = int(np.argmin(misfit))
+    similar = lags[misfit < NEARLY * misfit[index] + ROUNDING]
+    return None if index in (0, len(lags) - 1) or similar.max() - similar.min() > SURE else float(lags[index])

@@ -42,19 +42,19 @@ def _find_pushes(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
     limited = model.jnt_limited.any() or model.tendon_limited.any()
     if not (limited or model.npair or can_collide(model)):
         return
-    data, found = mujoco.MjData(model), dict[str, int]()
+    data, counts = mujoco.MjData(model), dict[str, int]()
     qpos = np.concatenate([log.qpos for log in dataset.logs])
     qpos = qpos[:: max(1, len(qpos) // STATES)]
     for position in qpos:
         data.qpos[:] = position
         mujoco.mj_fwdPosition(model, data)
-        for what in {*_limits(model, data), *_contacts(model, data)}:
-            found[what] = found.get(what, 0) + 1
-    for what, times in found.items():
+        for text in {*_limits(model, data), *_contacts(model, data)}:
+            counts[text] = counts.get(text, 0) + 1
+    for text, times in counts.items():
         yield Finding(
-            what,
+            text,
             False,
-            f"{what} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo applies a force there, which "
+            f"{text} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo applies a force there, which "
             "biases friction; check these positions, or remove the limit or contact from the MJCF",
         )
 

@@ -22,27 +22,27 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
     if bench.nv == 1 or log.samples <= SHORT:
         return
     model = bench.compile(constraint=False)
-    found = balance(log, bench, model)
-    left = np.zeros(1) if found is None else mismatch(found)
-    if left.max() < WORTH:
+    unchanged = balance(log, bench, model)
+    unexplained = np.zeros(1) if unchanged is None else mismatch(unchanged)
+    if unexplained.max() < WORTH:
         return
     branches, better = np.array(bench.branches), list[tuple[float, float, str, tuple[Repair, ...]]]()
     for joint, sentence, change, repairs in _other_readings(bench):
         of_branch = branches == branches[joint]
-        other = balance(change(log), bench, model) if left[of_branch].max() > WORTH else None
-        if other is not None:
-            before, after = float(left[of_branch].sum()), float(mismatch(other)[of_branch].sum())
+        changed = balance(change(log), bench, model) if unexplained[of_branch].max() > WORTH else None
+        if changed is not None:
+            before, after = float(unexplained[of_branch].sum()), float(mismatch(changed)[of_branch].sum())
             if after < MUCH_BETTER * before and before - after > GAINED:
                 better.append((after, before, sentence, repairs))
     if better:
         after, before, _, repairs = min(better)
         # A hanging leg moves like its mirror image: several readings may be equally good.
-        said = [sentence for rest, whole, sentence, _ in sorted(better) if rest < AS_GOOD * after and whole == before]
+        sentences = [sentence for new, old, sentence, _ in sorted(better) if new < AS_GOOD * after and old == before]
         yield Finding(
             "reading",
             False,
             "the actuators' torque matches the torque that the links need much better (unexplained share "
-            f"{before:.2g}, then {after:.2g}, summed over coupled joints) if {'; or if '.join(said)}",
+            f"{before:.2g}, then {after:.2g}, summed over coupled joints) if {'; or if '.join(sentences)}",
             log.name,
             repairs=repairs,
         )

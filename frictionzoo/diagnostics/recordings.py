@@ -1,7 +1,6 @@
 """Diagnostics of recordings before a fit, the most important findings first.
 
-Signals of a recording are compared with each other, and with the torques of the bench's actuators and links at recorded
-states. Certain faults are refused, likely ones reported.
+A recording's signals are compared with each other, and with the torques of actuators and links at its states.
 """
 
 from collections.abc import Iterator
@@ -43,12 +42,7 @@ READ = 1  # first recordings for which other readings are tried
 
 
 def check_up(dataset: Dataset, bench: Bench, checkup: str) -> list[Doubt]:
-    """Return likely faults of recordings, or of their bench, with repairs.
-
-    Args:
-        dataset: Recordings that the bench has accepted.
-        bench: The test stand.
-        checkup: `strict` refuses certain faults; `warn` returns them too.
+    """Return likely faults of accepted recordings, or of their bench, with repairs; with `warn`, certain ones too.
 
     Raises:
         LogError: A fault is certain, and `checkup` is `strict`.
@@ -83,16 +77,16 @@ def takes_position(bench: Bench) -> bool:
 def _check_log(log: Log, bench: Bench, to_position: bool, closely: bool) -> Iterator[Finding]:
     clock = list(check_clock(log))
     yield from clock
-    for sentence in (each for each in log.repairs if each.startswith(TIMES_ROUNDED)):
+    for sentence in (note for note in log.repairs if note.startswith(TIMES_ROUNDED)):
         yield Finding("rounded", False, f"{sentence}; record them with more digits", log.name)
     if clock:
         return
     cleaned = {name: getattr(log, name).copy() for name in ("qpos", "qvel", "ctrl")}
     broken = False
     for joint, name in enumerate(bench.joints):
-        for said in _check_signals(log, _of(bench, joint), bench, joint, cleaned):
-            broken |= said[1]
-            yield Finding.of(said, log.name, name)
+        for fault in _check_signals(log, _of(bench, joint), bench, joint, cleaned):
+            broken |= fault[1]
+            yield Finding.of(fault, log.name, name)
     if not broken:
         yield from _check_together(log, bench, to_position, closely, cleaned)
 
@@ -102,15 +96,15 @@ def _check_signals(
 ) -> Iterator[Said]:
     """Check each signal of a joint, and replace outliers in `cleaned` for all later checks."""
     for name, values in cleaned.items():
-        far = find_isolated(name, values[:, joint])
-        if far.any():
+        outliers = find_isolated(name, values[:, joint])
+        if outliers.any():
             repairs = (Repair("data.clean.spikes", "repair"),)
-            yield f"outliers {name}", False, say_outliers(log, f"{name}{of}", values[:, joint], far), repairs
-        values[:, joint] = leave_out(values[:, joint], far)
+            yield f"outliers {name}", False, say_outliers(log, f"{name}{of}", values[:, joint], outliers), repairs
+        values[:, joint] = leave_out(values[:, joint], outliers)
     qpos, qvel, ctrl = (cleaned[name][:, joint] for name in ("qpos", "qvel", "ctrl"))
-    found = list(check_position(of, qpos, ctrl, bench))
-    yield from found
-    if not any(said[1] for said in found):
+    faults = list(check_position(of, qpos, ctrl, bench))
+    yield from faults
+    if not any(fault[1] for fault in faults):
         yield from check_velocity(log, of, joint, qpos, qvel)
         yield from check_stroke(of, qpos, qvel) if bench.joint_type == "slide" else ()
 
@@ -128,13 +122,13 @@ def _check_together(
         best = max(followed, key=lambda joint: followed[joint].likeness.correlation.max())
         drift = list(check_drift(log, followed[best]))
         drifts = bool(drift)
-        yield from (Finding.of(said, log.name) for said in drift)
+        yield from (Finding.of(fault, log.name) for fault in drift)
     swaps, named, wrong = find_swaps(log, followed), {name for name in bench.joints if drifts}, False
     for joint, name in enumerate(bench.joints):
-        beside = (followed.get(joint), drifts, swaps.get(joint))
-        for said in _check_commands(log, bench, joint, to_position, closely, *beside):
-            named, wrong = named | {name}, wrong or said[1]
-            yield Finding.of(said, log.name, name)
+        comparison = (followed.get(joint), drifts, swaps.get(joint))
+        for fault in _check_commands(log, bench, joint, to_position, closely, *comparison):
+            named, wrong = named | {name}, wrong or fault[1]
+            yield Finding.of(fault, log.name, name)
     if log.samples > SHORT and not wrong:
         yield from _check_forces(log, bench, to_position, closely, works, named)
 
@@ -142,19 +136,21 @@ def _check_together(
 def _check_forces(
     log: Log, bench: Bench, to_position: bool, closely: bool, works: Float[np.ndarray, "nv"], named: set[str]
 ) -> Iterator[Finding]:
-    """Check torque and work of joints without findings so far; work counts where torque gives no verdict."""
-    found = balance(log, bench, bench.compile(constraint=False)) if closely else None
-    explained = [explain(found, joint) if found else None for joint in range(bench.nv)]
-    said = check_torque(log, bench, found, explained, to_position) if found else ()
-    told = [one for one in said if one.joint not in named]
-    opposed = [one.joint for one in told if one.kind == "opposed"]
-    known = [joint for joint, one in enumerate(explained) if one is not None and one.error < KNOWN * abs(one.share)]
-    if told and len(opposed) < len(known):  # not all joints alike
-        other = list(check_readings(log, bench))
-        yield from (reading._replace(certain=any(one.certain for one in told)) for reading in other)
-        told = [] if other else told
-    yield from told
-    named = named | {one.joint or name for one in told for name in bench.joints}
+    """Check torque and work of joints without findings so far; work counts if torque gives no verdict."""
+    balanced = balance(log, bench, bench.compile(constraint=False)) if closely else None
+    explained = [explain(balanced, joint) if balanced else None for joint in range(bench.nv)]
+    said = check_torque(log, bench, balanced, explained, to_position) if balanced else ()
+    findings = [entry for entry in said if entry.joint not in named]
+    opposed = [entry.joint for entry in findings if entry.kind == "opposed"]
+    known_joints = [
+        joint for joint, entry in enumerate(explained) if entry is not None and entry.error < KNOWN * abs(entry.share)
+    ]
+    if findings and len(opposed) < len(known_joints):  # not all joints alike
+        readings = list(check_readings(log, bench))
+        yield from (reading._replace(certain=any(entry.certain for entry in findings)) for reading in readings)
+        findings = [] if readings else findings
+    yield from findings
+    named = named | {entry.joint or name for entry in findings for name in bench.joints}
     for joint, name in enumerate(bench.joints):
         if name not in named and _is_told(log, bench, joint) and not agrees(explained[joint]):
             for said in check_work(_of(bench, joint), bench, joint, float(works[joint])):
@@ -162,7 +158,7 @@ def _check_forces(
 
 
 def _follow(log: Log, bench: Bench, works: Float[np.ndarray, "nv"]) -> dict[int, Followed]:
-    """Return each joint that should follow a desired position, compared with its command."""
+    """Compare each joint that should follow a desired position with its command."""
     followed = {}
     for joint in range(bench.nv):
         on = _following(log, bench, joint)
@@ -187,13 +183,13 @@ def _check_commands(
     on, of = _following(log, bench, joint), _of(bench, joint)
     if np.ptp(log.ctrl[:, joint]) > 0 or not _has_more(log, bench, joint):
         follows = log.qpos[on, joint] if to_position and on.any() else None
-        alone = list(check_command(of, log.ctrl[:, joint], follows))
-        yield from alone
-        if alone:
+        command_faults = list(check_command(of, log.ctrl[:, joint], follows))
+        yield from command_faults
+        if command_faults:
             return
-    beside = [] if found is None else list(check_following(log, of, bench, joint, found, drifts, swapped))
-    yield from beside
-    if not beside and bench.joint_type == "hinge":
+    following_faults = [] if found is None else list(check_following(log, of, bench, joint, found, drifts, swapped))
+    yield from following_faults
+    if not following_faults and bench.joint_type == "hinge":
         yield from check_turns(of, log.qpos[:, joint], bench.unlimited[joint])
     if closely and not to_position:
         yield from check_asked(log, of, joint)

@@ -57,7 +57,7 @@ def check_clock(log: Log) -> Iterator[Finding]:
 
 
 def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
-    """Return which samples of a signal are outliers; in `qpos`, spikes within the motion are outliers too."""
+    """Return which samples of a signal are outliers, for `qpos` also spikes within the motion."""
     far = find_outliers(values)
     if name == "qpos":
         repaired = repair_spikes(values)
@@ -67,26 +67,26 @@ def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
 
 def say_outliers(log: Log, what: str, values: Signal, far: Bool[np.ndarray, "time"]) -> str:
     """Return the message about the outliers of a signal."""
-    at = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
+    index = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
     return (
-        f"{what} has outliers ({far.sum()}), such as {values[at]:.4g} at {log.time[at]:.4g} s; "
+        f"{what} has outliers ({far.sum()}), such as {values[index]:.4g} at {log.time[index]:.4g} s; "
         "set data.clean.spikes=repair"
     )
 
 
 def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
     """Return a signal with outliers replaced by linear interpolation."""
-    kept = np.flatnonzero(~far)
-    return np.interp(np.arange(len(values)), kept, values[kept]) if far.any() else values
+    usable = np.flatnonzero(~far)
+    return np.interp(np.arange(len(values)), usable, values[usable]) if far.any() else values
 
 
 def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[Said]:
     """Find faults of the position alone; a certain fault ends the check."""
-    found: Said | None = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
-    if found is None and bench.joint_type == "hinge":
-        found = _find_wrapping(of, qpos)
-    if found is not None:
-        yield found
+    fault: Said | None = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
+    if fault is None and bench.joint_type == "hinge":
+        fault = _find_wrapping(of, qpos)
+    if fault is not None:
+        yield fault
         return
     yield from _find_coarse(of, qpos)
     yield from _find_frozen(of, qpos)
@@ -147,8 +147,8 @@ def _apart(qpos: Signal) -> float:
     """Return the RMS error of a cubic interpolation from two samples on either side, as a share of the spread."""
     if len(qpos) <= 20:
         return 0.0
-    between = (9 * (qpos[2:-4] + qpos[4:-2]) - (qpos[:-6] + qpos[6:])) / 16
-    return float(np.sqrt(np.mean((qpos[3:-3] - between) ** 2)) / np.std(qpos))
+    interpolated = (9 * (qpos[2:-4] + qpos[4:-2]) - (qpos[:-6] + qpos[6:])) / 16
+    return float(np.sqrt(np.mean((qpos[3:-3] - interpolated) ** 2)) / np.std(qpos))
 
 
 def _find_frozen(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
@@ -214,8 +214,8 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
     estimate, repairs = "set data.clean.velocity=estimated", (Repair("data.clean.velocity", "estimated"),)
     if joint in log.without_velocity:
         if not log.velocity_estimated:
-            other = "if another column has it, set data.columns.qvel"
-            yield "velocity", False, f"the recorded velocity{of} is not used, but estimated from qpos; {other}"
+            hint = "if another column has it, set data.columns.qvel"
+            yield "velocity", False, f"the recorded velocity{of} is not used, but estimated from qpos; {hint}"
         return
     if not np.ptp(qvel) > 0:
         yield (
@@ -225,30 +225,30 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
             repairs,
         )
         return
-    found = find_velocity_lag(log.time, qpos, qvel)
-    if found is None and find_velocity_lag(log.time, qpos, -qvel) is not None:
+    lag_and_scale = find_velocity_lag(log.time, qpos, qvel)
+    if lag_and_scale is None and find_velocity_lag(log.time, qpos, -qvel) is not None:
         yield (
             "velocity sign",
             True,
             f"qvel{of} and the position's derivative have opposite signs, expected the same; set data.sign.qvel=-1, or "
             "data.sign.qpos=-1 if that suits the command",
         )
-    elif found is None and len(qpos) > SHORT:
+    elif lag_and_scale is None and len(qpos) > SHORT:
         derived = derive_velocity(log.time, qpos)
         length = min(len(derived), len(qvel))
-        beside = compare(qvel[:length], derived[:length], log.timestep, np.ones(length, bool))
-        alike = beside.between(-LONGEST_LAG, LONGEST_LAG).correlation.max()
+        likeness = compare(qvel[:length], derived[:length], log.timestep, np.ones(length, bool))
+        correlation = likeness.between(-LONGEST_LAG, LONGEST_LAG).correlation.max()
         # If a joint hardly moves, both are noise.
         yield (
             "velocity",
-            bool(alike < UNLIKE and _apart(qpos) < SMOOTH),
+            bool(correlation < UNLIKE and _apart(qpos) < SMOOTH),
             f"qvel{of} does not match the position's derivative: check for swapped columns (data.columns.qvel), "
             f"or {estimate}",
             repairs,
         )
-    elif found is not None:
-        yield from _find_late_velocity(log, of, found[0])
-        yield from _find_velocity_unit(of, found[1])
+    elif lag_and_scale is not None:
+        yield from _find_late_velocity(log, of, lag_and_scale[0])
+        yield from _find_velocity_unit(of, lag_and_scale[1])
 
 
 def _find_late_velocity(log: Log, of: str, lag: float) -> Iterator[Said]:

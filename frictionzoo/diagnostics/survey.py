@@ -42,12 +42,10 @@ def list_recordings(source: Any) -> list[Recording]:
 
 
 def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) -> tuple[list[Recording], list[str]]:
-    """Return recordings with columns in one joint order, and the names of the joints.
+    """Return recordings of one drive with columns in one joint order, and the names of the joints.
 
-    Args:
-        recordings: At least one recording, all of one drive.
-        joints: Names of the bench's joints, if the columns are in this order; empty without a bench. Then the position
-            headers of the first recording give the names, and all columns are matched with them.
+    `joints` are the bench's joints, if the columns are in their order. Without a bench, the position headers of the
+    first recording give the names, and all columns are matched with them.
     """
     count = recordings[0].signals["qpos"].shape[1]
     if len(joints) == count:
@@ -56,28 +54,24 @@ def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) ->
         return list(recordings), list(map(str, range(1, count + 1)))
     headers = recordings[0].columns["qpos"].headers
     names = label(headers)
-    known = names if has_names(headers) else [f"number {name}" for name in names]
+    expected = names if has_names(headers) else [f"number {name}" for name in names]
     ordered = []
-    for each in recordings:
+    for entry in recordings:
         try:
-            found = arrange(each.name, each.columns, known if count > 1 else ())
+            matches = arrange(entry.name, entry.columns, expected if count > 1 else ())
         except LogError:  # columns with other names cannot be matched: keep their order
             return list(recordings), list(names)
-        signals = {signal: each.signals[signal][:, list(order)] for signal, (order, _) in found.items()}
-        ordered.append(replace(each, signals=signals, columns=reorder(each.columns, found)))
+        signals = {signal: entry.signals[signal][:, list(order)] for signal, (order, _) in matches.items()}
+        ordered.append(replace(entry, signals=signals, columns=reorder(entry.columns, matches)))
     return ordered, list(names)
 
 
 def survey_recordings(
     name: str, recordings: Sequence[Recording], joint_type: str | None = None, names: Sequence[str] = ()
 ) -> Survey:
-    """Survey the recordings of a data set and list findings.
+    """Survey raw recordings of one drive and list findings; only joints present in all recordings are surveyed.
 
-    Args:
-        name: Name of the data set.
-        recordings: At least one raw recording, all of one drive; only joints present in all of them are surveyed.
-        joint_type: `hinge` or `slide`, which determines the units; None if unknown.
-        names: Names of the joints in column order; empty for numbers.
+    `joint_type`, `hinge` or `slide`, gives the units. `names` are joints in column order; empty for numbers.
 
     Raises:
         LogError: A recording is incomplete or too short, or the shapes of its signals disagree.
@@ -187,11 +181,11 @@ def _pool_supply(diagnoses: Sequence[Diagnosis]) -> dict[str, Any] | None:
 
 def _spread(values: Iterable[float | None]) -> dict[str, float] | None:
     """Return lowest, median and highest over the recordings; None if none has a value."""
-    known = [float(value) for value in values if value is not None]
-    if not known:
+    present = [float(value) for value in values if value is not None]
+    if not present:
         return None
-    low, median, high = np.quantile(known, [0, 0.5, 1])
-    return {"low": low, "median": median, "high": high, "known": len(known)}
+    low, median, high = np.quantile(present, [0, 0.5, 1])
+    return {"low": low, "median": median, "high": high, "known": len(present)}
 
 
 def _envelop(ranges: Iterable[Sequence[float]]) -> list[float]:

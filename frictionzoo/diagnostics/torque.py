@@ -30,22 +30,17 @@ def agrees(one: Explained | None) -> bool:
 def check_torque(
     log: Log, bench: Bench, found: Balance, explained: Sequence[Explained | None], to_position: bool
 ) -> Iterator[Finding]:
-    """Check signs, scales and times of a recording by its torque balance.
+    """Check signs, scales and times of an accepted log by its torque balance and each joint's regression.
 
-    Args:
-        log: Recording that the bench has accepted.
-        bench: The test stand.
-        found: The recording's torque balance.
-        explained: Its regression for each joint.
-        to_position: Whether commands are desired positions, whose sign and time `check_following` checks.
+    `to_position` is whether commands are desired positions, whose sign and time `check_following` checks.
     """
     # Signs and scales have no meaning if the signals are shifted in time.
-    times = [] if to_position else list(_check_time(log, found, explained))
-    yield from times
-    for joint, one in enumerate(explained):
-        if one is not None and not times:
-            for said in _check_joint(bench, joint, one, to_position):
-                yield Finding.of(said, log.name, bench.joints[joint])
+    shifts = [] if to_position else list(_check_time(log, found, explained))
+    yield from shifts
+    for joint, regression in enumerate(explained):
+        if regression is not None and not shifts:
+            for fault in _check_joint(bench, joint, regression, to_position):
+                yield Finding.of(fault, log.name, bench.joints[joint])
 
 
 def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[Said]:
@@ -84,7 +79,6 @@ def _name_gains(bench: Bench) -> tuple[str, ...]:
 
 
 def _torque_option(bench: Bench, factor: float) -> str:
-    """Return the advice that scales an actuator's torque by a factor."""
     names = _name_gains(bench)
     if names == ("force_gain",):
         return f"bench.actuator.params.force_gain.init to {factor:.3g} times its value, or data.units.ctrl={factor:.3g}"
@@ -124,7 +118,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterato
 
 def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
     """Find a torque command that acts before its time, or later than a drive's delay explains."""
-    joints = [joint for joint, one in enumerate(explained) if one is not None]
+    joints = [joint for joint, regression in enumerate(explained) if regression is not None]
     if not joints:
         return
     lags, misfit = delayed(found, joints, slice(None))

@@ -28,16 +28,11 @@ _STILL = 0.1  # share of the fastest joint's speed or acceleration below which a
 def widen_bounds(
     settings: Mapping[str, Any], bench: Bench, logs: Sequence[Log], model: FrictionModel
 ) -> tuple[Mapping[str, Any], Bench, tuple[Choice, ...]]:
-    """Raise default upper bounds to the largest values that the recordings allow.
+    """Raise default upper bounds to the largest values that recordings allow, if `recipe` is `auto`.
 
     The torque that moves a joint limits its dry friction, torque over speed its damping, and torque over acceleration
-    its armature. Bounds are never lowered, and bounds that differ from the default are kept.
-
-    Args:
-        settings: All options; nothing changes unless `recipe` is `auto`.
-        bench: The test stand.
-        logs: Training recordings that the bench has accepted.
-        model: The friction model, bound to the joints; its bounds are raised in place.
+    its armature. Bounds are never lowered, and bounds that differ from the default are kept. `logs` are training
+    recordings that the bench has accepted; the bounds of `model`, bound to the joints, are raised in place.
 
     Returns:
         Settings and bench with the new bounds, and one choice for each raised bound.
@@ -70,10 +65,12 @@ def widen_bounds(
 def _allow(bench: Bench, logs: Sequence[Log]) -> dict[str, float]:
     """Return the largest value that recordings allow in any joint, for each dimension of a parameter."""
     compiled = bench.compile(constraint=False)
-    found = [one for log in logs if (one := balance(log, bench, compiled)) is not None]
-    if not found:
+    balances = [signals for log in logs if (signals := balance(log, bench, compiled)) is not None]
+    if not balances:
         return {}
-    torque, qvel, qacc = (np.concatenate([getattr(one, name) for one in found]) for name in ("torque", "qvel", "qacc"))
+    torque, qvel, qacc = (
+        np.concatenate([getattr(signals, name) for signals in balances]) for name in ("torque", "qvel", "qacc")
+    )
     size = _AMPLE * np.percentile(np.abs(torque), _LARGE, axis=0)
     speed, acceleration = (np.sqrt(np.mean(np.square(rows), axis=0)) for rows in (qvel, qacc))
     largest = {"torque": size.max()}
@@ -92,15 +89,15 @@ def _is_low(param: Param, allowed: Mapping[str, float]) -> bool:
 def _list_laws(
     model: FrictionModel, section: Mapping[str, Any]
 ) -> Iterator[tuple[FrictionModel, Sequence[Mapping[str, Any]], str]]:
-    """Yield each friction model of a possibly composite model, its sections, and the option of the first section."""
+    """Yield each friction model of a possibly composite one, its sections, and the option of the first section."""
     if not isinstance(model, ByJoint):
         yield model, [section], "model"
         return
     laws = section["laws"]
     patterns = [*laws] if isinstance(laws, Mapping) else range(len(laws))
     for number, (law, joints) in enumerate(zip(model.laws, model.members, strict=True)):
-        own = [patterns[number]] if isinstance(laws, Mapping) else joints
-        yield law, [laws[key] for key in own], f"model.laws.{own[0]}"
+        keys = [patterns[number]] if isinstance(laws, Mapping) else joints
+        yield law, [laws[key] for key in keys], f"model.laws.{keys[0]}"
 
 
 def _read_defaults(name: str, settings: Mapping[str, Any]) -> dict[str, float]:

@@ -10,9 +10,9 @@ OPTIONAL = {
     "position_offset": "the data show an encoder offset",
     "torque_offset": "the data show a constant torque",
 }
-"""Bench parameters that are identified only if the recordings show them, and the reason given then."""
+"""Bench parameters that are identified only if the recordings show them, with that reason."""
 RIVALS = "torque_offset", "position_offset"
-"""Optional parameters that shift a balance with gravity in the same way: at most one of them is identified."""
+"""Optional parameters that shift a balance with gravity alike: at most one of them is identified."""
 
 
 class Choice(NamedTuple):
@@ -28,20 +28,16 @@ class Choice(NamedTuple):
 
 
 def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
-    """Yield the choices that the given options of a loss determine.
-
-    Args:
-        loss: All options of the loss; an open one is `auto`.
-    """
-    given = {name: value for name, value in loss.items() if value != AUTO}
-    if given.get("impulse"):
+    """Yield the choices that the options of a loss determine; an open option is `auto`."""
+    options = {name: value for name, value in loss.items() if value != AUTO}
+    if options.get("impulse"):
         yield Choice("loss.position", 0.0, "loss.impulse uses measured velocities only")
         yield Choice("loss.refine", False, "loss.impulse uses measured velocities only")
-    if given.get("robust", "none") != "none":
+    if options.get("robust", "none") != "none":
         yield Choice("loss.refine", False, "a robust loss starts at measured states")
-    if 0 in (given.get("position"), given.get("velocity")):
+    if 0 in (options.get("position"), options.get("velocity")):
         yield Choice("loss.refine", False, "multiple shooting needs weights above 0 for position and velocity")
-    if given.get("continuity"):
+    if options.get("continuity"):
         yield Choice("loss.refine", True, "loss.continuity needs estimated initial states")
         yield Choice("segments.count", None, "loss.continuity needs consecutive segments")
 

@@ -22,12 +22,9 @@ def is_wanted(asked: Any) -> bool:
 
 
 def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:
-    """Return the test stand with half the timestep.
+    """Return the test stand with half the timestep and `solreffriction=softness`.
 
-    Args:
-        bench: The test stand with the full timestep.
-        softness: `solreffriction` of the friction constraint; None: as stiff as the timestep allows if `bench` has
-            that, else unchanged.
+    Without `softness`, a friction constraint as stiff as the timestep allows stays so; others do not change.
     """
     constant, ratio = bench.solreffriction
     if bench.is_stiff:  # the timestep alone makes the constraint softer than the drive's friction

@@ -1,4 +1,4 @@
-"""Automatic settings stored in a run's folder, from which a resumed run reads them."""
+"""Automatic settings stored in a run's folder, for a resumed run."""
 
 import copy
 import hashlib
@@ -37,10 +37,9 @@ _log = logging.getLogger(__name__)
 
 
 class Kept:
-    """`settle` with a file in the run's folder that stores its result for the same options and data.
+    """Automatic settings with a file in the run's folder, for runs with the same options and data.
 
-    Args:
-        folder: The run's folder. It may come from a stranger: nothing in it is executed.
+    The folder may come from a stranger: nothing in it is executed.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -57,12 +56,12 @@ class Kept:
         if settings["recipe"] != AUTO:
             return settle(settings, bench, dataset, model, fit)
         identity = _identify(settings, bench, dataset, model)
-        if (kept := self._read(identity, settings, bench)) is not None:
-            if kept.start is not None and self._had_pilot:  # the fit uses its compiled equations
-                pilot = Stages(settings, bench, dataset, model, fit).repeat(kept.settings, kept.start)
-                kept = replace(kept, pilot=pilot)
+        if (stored := self._read(identity, settings, bench)) is not None:
+            if stored.start is not None and self._had_pilot:  # the fit uses its compiled equations
+                pilot = Stages(settings, bench, dataset, model, fit).repeat(stored.settings, stored.start)
+                stored = replace(stored, pilot=pilot)
             _log.info("automatic settings read from %s", self._path)
-            return kept
+            return stored
         settled = settle(settings, bench, dataset, model, fit)
         self._write(identity, settings, settled)
         return settled
@@ -94,25 +93,25 @@ class Kept:
                 arrays = {name: file.get_tensor(name) for name in names}
         except (OSError, safetensors.SafetensorError):
             header, arrays = {}, {}
-        said = header.get(_TEXT, "")
-        if header.get("sha256") != _sign(said, arrays):
+        text = header.get(_TEXT, "")
+        if header.get("sha256") != _sign(text, arrays):
             _log.info("%s: damaged; automatic settings are chosen again", self._path)
             return None
-        text = json.loads(said)
-        if text["identity"] != identity or not set(text["options"]) <= {*_list_open(settings)}:
+        stored = json.loads(text)
+        if stored["identity"] != identity or not set(stored["options"]) <= {*_list_open(settings)}:
             _log.info("%s: for other options or data; automatic settings are chosen again", self._path)
             return None
-        chosen = _put(settings, text["options"])
+        chosen = _put(settings, stored["options"])
         section, start = chosen["bench"], None
-        self._had_pilot = bool(text["pilot"])
-        if text["labels"] is not None:
-            start = Found(labels=text["labels"], loss=text["loss"], **{"states": None, **arrays})
+        self._had_pilot = bool(stored["pilot"])
+        if stored["labels"] is not None:
+            start = Found(labels=stored["labels"], loss=stored["loss"], **{"states": None, **arrays})
         return Settled(
             chosen,
             remake(bench, **{name: section[name] for name in _OF_THE_BENCH if name in section}),
-            tuple(Choice(*choice) for choice in text["choices"]),
+            tuple(Choice(*choice) for choice in stored["choices"]),
             start,
-            tuple(Doubt(said, tuple(Repair(*repair) for repair in repairs)) for said, repairs in text["doubts"]),
+            tuple(Doubt(text, tuple(Repair(*repair) for repair in repairs)) for text, repairs in stored["doubts"]),
         )
 
 
@@ -125,14 +124,14 @@ def _sign(text: str, arrays: Mapping[str, Any]) -> str:
 def _identify(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel) -> str:
     """Return the SHA-256 of everything that the automatic settings depend on."""
     state = {name: value.numpy() for name, value in model.state_dict().items()}
-    told = {
+    facts = {
         "version": __version__,
         "settings": {name: value for name, value in settings.items() if name not in _INDIFFERENT},
         "data": describe_data(dataset),
         "bench": [bench.template(), bench.initial_values() and digest(bench.initial_values())],
         "model": digest(state),
     }
-    return hashlib.sha256(json.dumps(to_json(told), sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(to_json(facts), sort_keys=True).encode()).hexdigest()
 
 
 def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
@@ -145,7 +144,6 @@ def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _put(settings: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings with other values of these options."""
     changed = copy.deepcopy(dict(settings))
     for option, value in options.items():
         *path, key = option.split(".")

@@ -27,12 +27,9 @@ class Misfit(NamedTuple):
 
     @classmethod
     def of(cls, errors: Float[np.ndarray, "batch time nv"], noise: Float[np.ndarray, "nv"], by_joint: bool) -> "Misfit":
-        """Return the misfit of rollouts; diverged ones are ignored.
+        """Return the misfit of position errors [rad or m] against position noise [rad or m]; ignore diverged rollouts.
 
-        Args:
-            errors: Position errors [rad or m].
-            noise: Noise of each joint's measured position [rad or m].
-            by_joint: Whether each joint's errors are divided by their size.
+        With `by_joint`, each joint's errors are divided by their size.
         """
         squares = np.square(errors[np.isfinite(errors).all(axis=(1, 2))])
         means = squares.mean(axis=(0, 1))

@@ -35,12 +35,12 @@ class Noise(NamedTuple):
     def of(cls, logs: Sequence[Log]) -> "Noise":
         """Estimate the noise of recordings."""
 
-        def each(name: str) -> Float[np.ndarray, "nv"]:
-            found = [[find_noise(column) for column in getattr(log, name).T] for log in logs]
-            return np.sqrt(np.average(np.square(found), axis=0, weights=[log.samples for log in logs]))
+        def pool(name: str) -> Float[np.ndarray, "nv"]:
+            noise = [[find_noise(column) for column in getattr(log, name).T] for log in logs]
+            return np.sqrt(np.average(np.square(noise), axis=0, weights=[log.samples for log in logs]))
 
         speed = np.sqrt(np.concatenate([np.square(log.qvel) for log in logs]).mean(axis=0))
-        position, velocity = each("qpos"), each("qvel")
+        position, velocity = pool("qpos"), pool("qvel")
         for log in logs:
             velocity[list(log.without_velocity)] = 0.0
         estimated = any(log.velocity_estimated for log in logs) or not velocity.any()
@@ -58,8 +58,8 @@ class Noise(NamedTuple):
             noise, reference, share = self.position, self.velocity, 1.0
         counts = (noise > 0) & (reference > 0)
         ratio = share * noise[counts] / reference[counts] if counts.any() else np.zeros(1)
-        found = float(np.exp(np.mean(np.log(np.square(np.maximum(ratio, 1e-12))))))
-        return float(f"{found:.3g}")
+        weight = float(np.exp(np.mean(np.log(np.square(np.maximum(ratio, 1e-12))))))
+        return float(f"{weight:.3g}")
 
 
 def _find_step(logs: Sequence[Log], noise: Float[np.ndarray, "nv"]) -> float:
@@ -73,9 +73,9 @@ def _find_step(logs: Sequence[Log], noise: Float[np.ndarray, "nv"]) -> float:
 def find_step(columns: Sequence[Float[np.ndarray, "_"]]) -> float:
     """Return the step that divides all differences between readings; 0 if there is none."""
     sizes = np.abs(np.concatenate([np.diff(column) for column in columns]))
-    moved = sizes[sizes > _STILL * sizes.max(initial=0.0)]
-    if not len(moved):
+    differences = sizes[sizes > _STILL * sizes.max(initial=0.0)]
+    if not len(differences):
         return 0.0
-    whole = np.round(moved / np.median(moved[moved < 1.5 * moved.min()]))
-    step = float(moved @ whole / (whole @ whole))
-    return step if (np.abs(moved - whole * step) < _WHOLE * step * whole).all() else 0.0
+    multiples = np.round(differences / np.median(differences[differences < 1.5 * differences.min()]))
+    step = float(differences @ multiples / (multiples @ multiples))
+    return step if (np.abs(differences - multiples * step) < _WHOLE * step * multiples).all() else 0.0

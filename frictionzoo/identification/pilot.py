@@ -27,7 +27,7 @@ from frictionzoo.identification.discretisation import in_other_steps
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulation.drive import Drive
 
-_EXACT = 3e-3  # half interval that is narrow enough, relative to the value or to its scale if that is larger
+_EXACT = 3e-3  # narrow enough half interval, relative to the value, or to its scale if larger
 _COLLINEAR = 1e-8
 """`COLLINEAR` of a pilot. A delay is nearly collinear with armature and damping, and a parameter without an interval
 counts as doubtful even if a long log determines it."""
@@ -37,15 +37,13 @@ _DISTURBED = 1e-3  # disturbance of initial velocities, as a share of a joint's 
 
 
 class Found(NamedTuple):
-    """The result of a pilot fit.
+    """Result of a pilot fit.
 
     Attributes:
         labels: Name of each coordinate, as in `Space.labels`.
-        vector: The coordinates.
         half: Half width of each coordinate's 95 % interval; NaN if it has none.
         enough: Half width that is narrow enough: a small share of the value, or of its scale if that is larger.
         at_bound: Whether each value ended at a bound.
-        loss: The loss at `vector`.
         measured: Measured positions of the segments.
         states: Estimated initial states of the segments; None if none were estimated.
         sizes: `Objective.sizes` of the fit.
@@ -63,9 +61,9 @@ class Found(NamedTuple):
 
     @classmethod
     def begun(cls, labels: list[str], vector: Float[np.ndarray, "coordinates"]) -> "Found":
-        """Return a start for a search, with nothing but the coordinates known."""
-        nothing = np.full(len(vector), np.nan)
-        return cls(labels, vector, nothing, nothing, np.zeros(len(vector), bool), np.inf, np.zeros((0, 0, 0)), None)
+        """Return the start of a search: coordinates without intervals, loss and states."""
+        unknown = np.full(len(vector), np.nan)
+        return cls(labels, vector, unknown, unknown, np.zeros(len(vector), bool), np.inf, np.zeros((0, 0, 0)), None)
 
     def states_of(self, segments: Segments) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
         """Return the estimated initial states if these are the fitted segments, else None."""
@@ -73,13 +71,13 @@ class Found(NamedTuple):
 
     @property
     def owners(self) -> set[str]:
-        """Names of the parameters among the coordinates, without the prefix of the bench."""
+        """Names of the parameters, without the prefix `bench.`."""
         return {label.partition("/")[0].removeprefix("bench.") for label in self.labels}
 
     def among(self, labels: Sequence[str], otherwise: Float[np.ndarray, "others"]) -> Float[np.ndarray, "others"]:
-        """Return the coordinates with these labels; `otherwise` fills those that this result lacks."""
-        known = dict(zip(self.labels, self.vector, strict=True))
-        return np.array([known.get(label, value) for label, value in zip(labels, otherwise, strict=True)])
+        """Return the coordinates with these labels; `otherwise` fills missing ones."""
+        by_label = dict(zip(self.labels, self.vector, strict=True))
+        return np.array([by_label.get(label, value) for label, value in zip(labels, otherwise, strict=True)])
 
     def in_halves(self, step: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
         """Return a step's size in half intervals; `enough` replaces narrower or missing ones."""
@@ -90,14 +88,10 @@ class Pilot:
     """A problem with a fit but without an evaluation, in float64.
 
     Args:
-        bench: The test stand.
-        model: The friction model; it does not change.
-        logs: Recordings for the fit.
+        model: Copied, not changed.
         segments: Arguments of `cut_segments`.
         loss: Arguments of `Objective`.
-        engine: Name of the engine.
-        begun: Result of another pilot, at which the error sizes for `loss.by_joint` are taken; None: the initial
-            values.
+        begun: Result of another pilot, at which `loss.by_joint` takes the error sizes; None: the initial values.
 
     Raises:
         FrictionzooError: The input is at fault.
@@ -124,9 +118,9 @@ class Pilot:
         objective = Objective(space, self._drive.rollout, self.segments, **loss)
         self._recordings = objective.recordings = Recordings(self.bench, self._drive.model, accepted)
         initial = np.asarray(space.start, np.float64)
-        where = initial if begun is None else begun.among(space.labels, initial)
+        vector = initial if begun is None else begun.among(space.labels, initial)
         sizes = None if begun is None else begun.sizes
-        self.objective: Objective = objective.starting(where).balanced(sizes).starting(initial)
+        self.objective: Objective = objective.starting(vector).balanced(sizes).starting(initial)
 
     @property
     def space(self) -> Space:
@@ -139,12 +133,9 @@ class Pilot:
         return np.asarray(self.space.start, np.float64)[: len(self.space.labels)]
 
     def balance(self, bench: Bench) -> Found:
-        """Return a start from the torque balance over the recorded motion, or the initial values if they are better.
+        """Return a start from the torque balance with the free parameters of `bench`, or the initial values if better.
 
         Rollout errors decide between both: with widely spaced samples, accelerations are unknown.
-
-        Args:
-            bench: The test stand whose free parameters the balance determines.
         """
         recordings = self._recordings._replace(bench=bench.observing(self._drive.model.inputs))
         starts = [self.start]
@@ -164,14 +155,10 @@ class Pilot:
         thorough: bool = False,
         kept: Bool[np.ndarray, "segments"] | None = None,
     ) -> Found:
-        """Fit by Levenberg-Marquardt.
+        """Fit by Levenberg-Marquardt; the result does not contain the bench parameters `without`, which are fixed at 0.
 
-        Args:
-            begun: The start.
-            without: Parameters of the bench that are fixed at 0; the result does not contain them.
-            thorough: Whether to use a multi-start: with nested models if the model has several minima, and with other
-                delays.
-            kept: Segments that count; None for all.
+        `thorough` uses a multi-start: with nested models if the model has several minima, and with other delays. `kept`
+        are the segments that count; None for all.
 
         Raises:
             FitError: The loss is not finite at the start.
@@ -189,27 +176,24 @@ class Pilot:
         return self._conclude(vector, loss, moving, searches.states and searches.states.states)
 
     def foresee(self, found: Found, without: str, instead: str) -> Found:
-        """Predict by linearisation the result of the last fit with one parameter exchanged for another.
-
-        Args:
-            found: Result of the last fit.
-            without: The bench's parameter to fix at 0.
-            instead: The bench's parameter to free instead.
-        """
+        """Predict the last fit's result, linearised, with bench parameter `without` fixed at 0 and `instead` free."""
         (equations, scores), vector = self._end, self.whole(found)
         moving = self._moving({without, *(OPTIONAL.keys() - found.owners - {instead})})
         change = np.where(moving, 0.0, -vector)
-        pulled = equations._replace(gradient=equations.gradient + equations.hessian @ change)
-        change[moving] = -_solve(pulled, np.flatnonzero(moving))
-        bent = equations.hessian @ change
-        loss = float(equations.loss + 2 * change @ equations.gradient + change @ bent)
-        self._end = equations._replace(gradient=equations.gradient + bent), scores + bent / len(scores)
-        ahead = self._conclude(vector + change, loss, moving, found.states)
+        shifted = equations._replace(gradient=equations.gradient + equations.hessian @ change)
+        change[moving] = -_solve(shifted, np.flatnonzero(moving))
+        delta = equations.hessian @ change
+        loss = float(equations.loss + 2 * change @ equations.gradient + change @ delta)
+        self._end = (
+            equations._replace(gradient=equations.gradient + delta),
+            scores + delta / len(scores),
+        )
+        predicted = self._conclude(vector + change, loss, moving, found.states)
         self._end = equations, scores
-        return ahead
+        return predicted
 
     def _moving(self, without: Collection[str]) -> Bool[np.ndarray, "coordinates"]:
-        """Return which coordinates belong to other parameters than these of the bench."""
+        """Return which coordinates do not belong to these bench parameters."""
         return np.array([label.partition("/")[0].removeprefix("bench.") not in without for label in self.space.labels])
 
     def _conclude(
@@ -224,8 +208,8 @@ class Pilot:
         if self.objective.stretches > 1:  # intervals need a spread between segments
             equations = equations._replace(hessian=np.where(np.outer(moving, moving), equations.hessian, 0.0))
             intervals = assess(self.space, vector, equations, scores, _COLLINEAR).intervals
-            ends = self.space.pick({name: intervals[name] for name in self.space.places})
-            half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
+            bounds = self.space.pick({name: intervals[name] for name in self.space.places})
+            half = np.array([self._half(label, np.asarray(bounds[label])) for label in self.space.labels])
         return Found(
             labels=[label for label, moves in zip(self.space.labels, moving, strict=True) if moves],
             vector=vector[moving],
@@ -239,12 +223,12 @@ class Pilot:
         )
 
     def simulate(self, bench: Bench) -> Objective:
-        """Return the objective with a bench that differs in its timestep or in the softness of its friction."""
-        steps = (bench.timestep, *bench.solreffriction)
-        if steps not in self._simulated:
-            watching = bench.observing(self._drive.model.inputs)
-            self._simulated[steps] = in_other_steps(self.objective, self._drive, watching)
-        return self._simulated[steps]
+        """Return the objective on a bench with another timestep or softness of its friction."""
+        key = (bench.timestep, *bench.solreffriction)
+        if key not in self._simulated:
+            observing = bench.observing(self._drive.model.inputs)
+            self._simulated[key] = in_other_steps(self.objective, self._drive, observing)
+        return self._simulated[key]
 
     def approaching(self, other: Objective, found: Found) -> "Pilot":
         """Return this pilot with the residuals of another simulation (see `simulate`), linearised at a result."""
@@ -253,10 +237,7 @@ class Pilot:
         return near
 
     def step(self, found: Found) -> tuple[Float[np.ndarray, "coordinates"], float]:
-        """Return one Gauss-Newton step from a result, and the loss that it predicts.
-
-        The step is 0 for coordinates that the data do not determine, and for those at a bound.
-        """
+        """Return a Gauss-Newton step (0 for coordinates undetermined or at a bound), and the loss it predicts."""
         objective = self.objective.beginning(self.objective.begun)
         equations = objective.compile_normal_equations()(self.whole(found))
         free = (found.half < WIDEST) & ~found.at_bound  # False for NaN
@@ -266,7 +247,7 @@ class Pilot:
         return step, equations.loss + float(step[free] @ equations.gradient[places])
 
     def whole(self, found: Found) -> Float[np.ndarray, "coordinates"]:
-        """Return all coordinates; those that a result lacks are 0 if optional, else the initial ones."""
+        """Return all coordinates; missing ones are 0 if optional, else the initial ones."""
         labels, start = self.space.labels, np.array(self.space.start, np.float64)
         optional = [label.partition("/")[0].removeprefix("bench.") in OPTIONAL for label in labels]
         start[: len(labels)] = found.among(labels, np.where(optional, 0.0, start[: len(labels)]))
@@ -281,13 +262,7 @@ class Pilot:
         return np.asarray(qpos).reshape(-1, *qpos.shape[2:])[: self.segments.count]
 
     def errors(self, found: Found, logs: Sequence[Log], horizon: float) -> Float[np.ndarray, "batch time nv"]:
-        """Return position errors [rad or m] of consecutive rollouts from measured states.
-
-        Args:
-            found: The result with the parameters.
-            logs: Recordings to compare with.
-            horizon: Length of a rollout [s].
-        """
+        """Return position errors [rad or m] of consecutive rollouts of `horizon` seconds from measured states."""
         accepted = tuple(map(self.bench.accept, logs))
         windows = cut_rollouts(accepted, horizon, _ROLLOUTS, "consecutive", 0, self._sampling.history)
         values = self.space.values(jnp.asarray(self.whole(found), self.space.start.dtype))
@@ -300,21 +275,23 @@ class Pilot:
 
         The largest over joints; median over segments.
         """
-        cut, data = self.segments, self.objective.data
-        disturbed = _DISTURBED * np.sqrt(np.square(cut.qvel).mean(axis=(0, 1))) + np.finfo(float).tiny
-        begun = measured_states(data.qpos, data.qvel)
-        starts = begun, begun.at[..., self.bench.nv :].add(disturbed)
-        near, far = (self._by_segment(self.objective.predict(self.whole(found), states)[0]) for states in starts)
-        time = np.arange(1, cut.length + 1) * cut.timestep
-        grown = np.abs(far - near) / (disturbed * time[:, None])
-        return np.nan_to_num(np.median(grown.max(axis=2), axis=0), nan=np.inf)
+        segments, data = self.segments, self.objective.data
+        disturbed = _DISTURBED * np.sqrt(np.square(segments.qvel).mean(axis=(0, 1))) + np.finfo(float).tiny
+        measured = measured_states(data.qpos, data.qvel)
+        starts = measured, measured.at[..., self.bench.nv :].add(disturbed)
+        undisturbed, disturbed_qpos = (
+            self._by_segment(self.objective.predict(self.whole(found), states)[0]) for states in starts
+        )
+        time = np.arange(1, segments.length + 1) * segments.timestep
+        growth = np.abs(disturbed_qpos - undisturbed) / (disturbed * time[:, None])
+        return np.nan_to_num(np.median(growth.max(axis=2), axis=0), nan=np.inf)
 
     def _miss(self, vector: Float[np.ndarray, "coordinates"]) -> float:
         """Return the mean position error in segments from measured states; infinite if a rollout diverges."""
         return float(np.nan_to_num(np.abs(self.residuals(Found.begun(self.space.labels, vector))).mean(), nan=np.inf))
 
     def _half(self, label: str, ends: Float[np.ndarray, "2"]) -> float:
-        """Return half the width of an interval in the optimiser's coordinate."""
+        """Return half an interval's width in the optimiser's coordinate."""
         param = self.space.params[label.partition("/")[0]]
         low, high = param.to_coordinate(ends, np)
         return float(high - low) / 2
@@ -327,11 +304,7 @@ def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Floa
 
 
 def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
-    """Return H^-1 g for these coordinates; 0 for one without effect.
-
-    Raises:
-        FitError: The equations are not finite.
-    """
+    """Return H^-1 g for these coordinates, 0 for one without effect; raise FitError if not finite."""
     if not equations.finite:
         raise FitError("the loss is not finite at the end of the fit")
     hessian, gradient = equations.hessian[np.ix_(free, free)], equations.gradient[free]

@@ -51,11 +51,9 @@ class Parts(NamedTuple):
     """Input of a problem.
 
     Attributes:
-        settled: The bench and all options: `segments`, `loss` and `evaluation`, the arguments of `cut_segments`,
-            `Objective` and `Evaluation`; `engine`; `dtype`; and everything else that the record reports.
-        dataset: Recordings, train and test.
+        settled: The bench and all options that the record reports; among them `segments`, `loss` and `evaluation`, the
+            arguments of `cut_segments`, `Objective` and `Evaluation`.
         model: The friction model; it is prepared for the data, and a fit leaves the best values in it.
-        fit: The fit method.
         doubts: Likely faults of the recordings.
         seconds: Time to prepare the parts [s].
     """
@@ -71,12 +69,7 @@ class Parts(NamedTuple):
     def from_settings(
         cls, settings: Mapping[str, Any], given: Given | None = None, choose: Callable[..., Settled] = settle
     ) -> "Parts":
-        """Build the parts that the settings describe.
-
-        Args:
-            settings: All options.
-            given: Bench and recordings, if they have been read already.
-            choose: See `settle`.
+        """Build the parts that the settings describe; `given` are bench and recordings that have been read already.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -100,15 +93,9 @@ class Parts(NamedTuple):
         fit: Fit,
         choose: Callable[..., Settled] = settle,
     ) -> "Parts":
-        """Return the parts, with open options chosen on the training recordings.
+        """Return the parts, with open options (`auto`) chosen on the training recordings.
 
-        Args:
-            settings: All options; an open one is `auto`.
-            bench: The test stand without open options.
-            dataset: Recordings, train and test.
-            model: The friction model.
-            fit: The fit method.
-            choose: Chooses open options, as `frictionzoo.identification.recipe.settle` does.
+        `bench` has no open options. `choose` chooses them, as `frictionzoo.identification.recipe.settle` does.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -124,11 +111,11 @@ class Parts(NamedTuple):
         bench, settings = _divide_interval(bench, settings, dataset.train[0].timestep)
         for columns in describe_columns(dataset.logs, bench.joints) if bench.nv > 1 else ():
             others = len(columns["logs"]) - 1
-            whose = columns["logs"][0] + (f" and {others} more" if others else "")
-            _log.info("%s: columns by joint\n%s", whose, align(list_columns(columns)))
-        watching = bench.observing(model.inputs)
-        train, test = (tuple(map(watching.accept, logs)) for logs in (dataset.train, dataset.test))
-        doubts = check_up(Dataset(dataset.name, train, test), watching, settings["checkup"])
+            names = columns["logs"][0] + (f" and {others} more" if others else "")
+            _log.info("%s: columns by joint\n%s", names, align(list_columns(columns)))
+        observing = bench.observing(model.inputs)
+        train, test = (tuple(map(observing.accept, logs)) for logs in (dataset.train, dataset.test))
+        doubts = check_up(Dataset(dataset.name, train, test), observing, settings["checkup"])
         settings, bench, widened = widen_bounds(settings, bench, train, model)
         with computing("float64", settings["device"], settings["compilation_cache"]):
             settled = choose(settings, bench, dataset, model, fit)
@@ -146,21 +133,13 @@ class Problem:
     """An identification that is ready to begin: the input is checked.
 
     Attributes:
-        bench: The test stand.
-        dataset: Recordings, train and test.
-        doubts: Likely faults of the recordings.
         sampling: Mapping from recorded samples to simulation steps.
         segments: Training segments that the fit compares.
-        evaluation: The rollouts of the evaluation.
         drive: The bench with the chosen friction model.
         proof: Verification against MuJoCo C.
         samples: Inputs of the friction model in the training samples.
-        objective: The loss that the fit minimises.
-        fit: The fit method.
-        settings: All options of the run.
-        seconds: Time to pose the problem [s].
+        seconds: Time to build the problem [s].
         links: Link inertias identified before the fit, which the bench has; None if there are none.
-        choices: Choices of the automatic settings.
         pilot: The pilot fit whose compiled equations this fit uses; None if it compiles its own.
     """
 
@@ -183,7 +162,7 @@ class Problem:
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
-        """Pose the problem that the settings describe, in the current `computing` context.
+        """Build the problem that the settings describe, in the current `computing` context.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -192,7 +171,7 @@ class Problem:
 
     @classmethod
     def pose(cls, parts: "Parts") -> "Problem":
-        """Pose the problem of these parts, in the current `computing` context.
+        """Build the problem of these parts, in the current `computing` context.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -207,8 +186,8 @@ class Problem:
             bench = bench.with_inertia(links.inertia)
             if links.tilt is not None:
                 bench = bench.with_gravity(links.tilt.gravity.tolist())
-            told = {name: describe(bench)[name] for name in ("inertia", "gravity")}
-            settings = {**settings, "bench": {**settings["bench"], **told}}
+            identified = {name: describe(bench)[name] for name in ("inertia", "gravity")}
+            settings = {**settings, "bench": {**settings["bench"], **identified}}
         dataset = bench.accept_all(dataset) if links else accepted
         doubts = [*parts.doubts, *parts.settled.doubts]
         sampling = bench.sampling(dataset.logs[0].timestep)
@@ -222,18 +201,18 @@ class Problem:
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
         objective.recordings = Recordings(bench, drive.model, dataset.train)
-        if (found := parts.settled.start) is not None:
-            objective = objective.starting(found.vector).beginning(found.states_of(segments))
+        if (start := parts.settled.start) is not None:
+            objective = objective.starting(start.vector).beginning(start.states_of(segments))
         fit = fit.choose(objective)
         if fit.start is not None:
             objective = begin_where(fit.start, objective)
-        objective = objective.balanced(None if found is None or links else found.sizes)
-        pilot = None if found is None or links or objective.devices > 1 else parts.settled.pilot
-        if pilot is not None and found is not None:
-            objective = objective.within(pilot.objective, pilot.whole(found))  # already compiled
+        objective = objective.balanced(None if start is None or links else start.sizes)
+        pilot = None if start is None or links or objective.devices > 1 else parts.settled.pilot
+        if pilot is not None and start is not None:
+            objective = objective.within(pilot.objective, pilot.whole(start))  # already compiled
         seconds = parts.seconds + time.perf_counter() - began
-        posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
-        return cls(*posed, fit, settings, seconds, links, parts.settled.choices, pilot)
+        fields = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
+        return cls(*fields, fit, settings, seconds, links, parts.settled.choices, pilot)
 
     def following(self, teacher: FittedDrive) -> "Problem":
         """Return the problem with a fitted drive's rollouts as training segments; the evaluation is unchanged.
@@ -244,17 +223,17 @@ class Problem:
             RunError: The recordings have changed since the teacher's run, or the teacher diverges.
         """
         settings = self.settings
-        came = {"data": describe_data(self.dataset)["sha256"], "evaluation": self.evaluation.sha256}
-        for what, sha256 in came.items():
-            if sha256 != (expected := teacher.result[what]["sha256"]):
+        hashes = {"data": describe_data(self.dataset)["sha256"], "evaluation": self.evaluation.sha256}
+        for part, sha256 in hashes.items():
+            if sha256 != (expected := teacher.result[part]["sha256"]):
                 raise RunError(
-                    f"{teacher.place}: {what} with SHA-256 {sha256[:12]}, expected {expected[:12]} as in that run; "
+                    f"{teacher.place}: {part} with SHA-256 {sha256[:12]}, expected {expected[:12]} as in that run; "
                     "restore its recordings or run it again"
                 )
         # The models of teacher and student may need different inputs.
         train = tuple(map(teacher.bench.accept, self.dataset.train))
-        followed = teacher.follow(cut_segments(train, **settings["segments"], history=self.sampling.history))
-        segments = replace(self.segments, qpos=followed.qpos, qvel=followed.qvel)
+        rollouts = teacher.follow(cut_segments(train, **settings["segments"], history=self.sampling.history))
+        segments = replace(self.segments, qpos=rollouts.qpos, qvel=rollouts.qvel)
         bench = self.bench.restarted(teacher.values["bench"])
         drive = Drive.assemble(bench, self.drive.model, settings["engine"], self.sampling)
         space = Space(bench, drive.model, settings["dtype"])
@@ -263,31 +242,28 @@ class Problem:
 
 
 def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float) -> tuple[Bench, Mapping[str, Any]]:
-    """Return bench and settings with a timestep that divides the sample interval [s], if no timestep was set.
-
-    The settings keep `auto`: the automatic settings choose the timestep later.
-    """
-    asked, steps = settings["bench"].get("timestep"), interval / bench.timestep
-    if asked not in (None, AUTO) or bench.fits(interval):
+    """Make the timestep divide the sample interval [s] if none was set; an open one stays `auto` in the settings."""
+    timestep, steps = settings["bench"].get("timestep"), interval / bench.timestep
+    if timestep not in (None, AUTO) or bench.fits(interval):
         return bench, settings
     step = interval / math.ceil(steps)
     _log.info("%s: steps of %g s, not %g s: samples are %g s apart", bench.source, step, bench.timestep, interval)
-    if asked is None:
+    if timestep is None:
         settings = {**settings, "bench": {**settings["bench"], "timestep": step}}
     return remake(bench, timestep=step), settings
 
 
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
-    """Return the friction model's inputs in every training sample, at the bench's initial values, as numpy arrays."""
-    # Recordings are concatenated, because each length would compile anew, and run in batches to bound memory.
-    of_logs = [
+    """Return the friction model's inputs in all training samples, at the bench's initial values, as numpy arrays."""
+    # Concatenated, because each length would compile anew; in batches, to bound memory.
+    by_log = [
         (log.qpos, log.qvel, log.signals, np.broadcast_to(log.load, (log.samples, len(log.load))))
         for log in dataset.train
     ]
-    samples = jax.tree.map(lambda *parts: np.concatenate(parts), *of_logs)
+    samples = jax.tree.map(lambda *parts: np.concatenate(parts), *by_log)
     values = {"bench": bench.initial_values()}
 
-    def see(samples: tuple[Any, ...]) -> DriveState:
-        return jax.lax.map(lambda one: drive.engine.drive_state(values, *one), samples, batch_size=_AT_ONCE)
+    def observe(samples: tuple[Any, ...]) -> DriveState:
+        return jax.lax.map(lambda sample: drive.engine.drive_state(values, *sample), samples, batch_size=_AT_ONCE)
 
-    return jax.tree.map(np.asarray, drive.rollout.compile(see)(samples))
+    return jax.tree.map(np.asarray, drive.rollout.compile(observe)(samples))

@@ -26,8 +26,6 @@ class Settled:
     """Settings without open options.
 
     Attributes:
-        settings: All options of the run.
-        bench: The test stand with these options.
         choices: Choices in the order in which they were made.
         start: Start of the fit; None: the initial values.
         doubts: Warnings where the wanted accuracy is not reached.
@@ -43,14 +41,9 @@ class Settled:
 
 
 def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit) -> Settled:
-    """Choose open options on the training recordings alone, in float64.
+    """Choose open options (`auto`) on the training recordings alone, in float64.
 
-    Args:
-        settings: All options; an open one is `auto`. Others do not change.
-        bench: The test stand without open options.
-        dataset: Recordings.
-        model: The friction model, bound to the joints of the bench; it does not change.
-        fit: The fit method.
+    Other options and the model, which is bound to the joints, do not change. `bench` has no open options.
 
     Raises:
         FrictionzooError: The input is at fault.
@@ -63,8 +56,8 @@ def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: F
     for choice in stages.run():
         _log.info("%s", choice)
         choices.append(choice)
-    found = stages.start, tuple(stages.doubts), stages.pilot
-    return Settled(stages.settings, stages.bench(), tuple(choices), *found)
+    outcome = stages.start, tuple(stages.doubts), stages.pilot
+    return Settled(stages.settings, stages.bench(), tuple(choices), *outcome)
 
 
 def refuse_unknown(recipe: str) -> None:
@@ -76,12 +69,12 @@ def refuse_unknown(recipe: str) -> None:
 def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bool) -> dict[str, Any]:
     """Return a bench's section with all options open that it does not set.
 
-    Args:
-        bench: The section.
-        plain: The bench section of a configuration with `recipe=auto`, which lists the options that may be open.
-        from_file: Whether a robot's file states the delay of commands.
+    `plain` is the section of a configuration with `recipe=auto`, which lists the options that may be open. `from_file`
+    is whether a robot's file states the delay of commands.
     """
-    perhaps = {name: dict(plain["params"][name]) for name in OPTIONAL}
-    perhaps["delay"] |= {"init": None} if from_file else {}
-    steps = {name: plain[name] for name in ("timestep", "solreffriction", "second_order") if bench.get(name) is None}
-    return {**bench, "params": {**perhaps, **(bench.get("params") or {})}, **steps}
+    optional = {name: dict(plain["params"][name]) for name in OPTIONAL}
+    optional["delay"] |= {"init": None} if from_file else {}
+    open_options = {
+        name: plain[name] for name in ("timestep", "solreffriction", "second_order") if bench.get(name) is None
+    }
+    return {**bench, "params": {**optional, **(bench.get("params") or {})}, **open_options}

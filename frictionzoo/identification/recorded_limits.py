@@ -15,15 +15,10 @@ _DIGITS = 3  # digits of a limit
 
 
 def usual_inputs(bench: Bench, logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Return the median inputs of the actuator model, without feed-forward commands.
-
-    Args:
-        bench: The test stand.
-        logs: Logs accepted by the bench.
-    """
-    law = bench.actuator
-    fed = set(law.commands) & set(law.optional_inputs)
-    names = [name for name in law.inputs if name not in fed]
+    """Return the actuator model's median inputs in accepted logs, without feed-forward commands."""
+    actuator = bench.actuator
+    feed_forward = set(actuator.commands) & set(actuator.optional_inputs)
+    names = [name for name in actuator.inputs if name not in feed_forward]
     return {name: np.median(np.concatenate([log.inputs[name] for log in logs]), axis=0) for name in names}
 
 
@@ -31,22 +26,20 @@ def recorded_limits(bench: Bench, values: Mapping[str, Any], logs: Sequence[Log]
     """Return the limits `position`, `velocity` and `torque` of each joint as options of `frictionzoo.design`.
 
     No limit exceeds the recorded motion. The torque is the identified actuator's at the recorded states, at most its
-    torque at standstill. All limits are rounded down in magnitude.
-
-    Args:
-        bench: The test stand.
-        values: Identified values of the bench's parameters, each of shape (nv,).
-        logs: Training logs accepted by the bench.
+    torque at standstill. All limits are rounded down in magnitude. `values` are the bench's identified parameters, each
+    of shape (nv,); `logs` are training logs that the bench has accepted.
     """
     qpos = np.concatenate([log.qpos for log in logs])
     low, high = (np.quantile(qpos, share, axis=0) for share in (1 - _USUAL, _USUAL))
     velocity = np.quantile(np.abs(np.concatenate([log.qvel for log in logs])), _USUAL, axis=0)
-    used = np.quantile(np.abs(np.concatenate([actuator_torque(bench, log, values) for log in logs])), _USUAL, axis=0)
+    used_torque = np.quantile(
+        np.abs(np.concatenate([actuator_torque(bench, log, values) for log in logs])), _USUAL, axis=0
+    )
     inputs = {name: np.zeros(bench.nv) for name in bench.actuator.inputs} | usual_inputs(bench, logs)
-    torque = np.minimum(used, stall_torque(bench, values, inputs, (low + high) / 2))
+    torque = np.minimum(used_torque, stall_torque(bench, values, inputs, (low + high) / 2))
     pairs = [[-round_down(-a), round_down(b)] for a, b in zip(low, high, strict=True)]
-    found = {"position": pairs, "velocity": list(map(round_down, velocity)), "torque": list(map(round_down, torque))}
-    return found if bench.nv > 1 else {name: each[0] for name, each in found.items()}
+    limits = {"position": pairs, "velocity": list(map(round_down, velocity)), "torque": list(map(round_down, torque))}
+    return limits if bench.nv > 1 else {name: limit[0] for name, limit in limits.items()}
 
 
 def round_down(value: float) -> float:

@@ -53,36 +53,32 @@ def solve(
     measured: Problem | None = None,
     origin: Origin | None = None,
 ) -> FittedDrive:
-    """Identify a drive, in the `computing` context in which the problem was posed.
+    """Identify a drive, in the `computing` context in which the problem was built.
 
-    Args:
-        problem: The identification problem.
-        name: Name of the friction model, for the record.
-        device: Name of the device, for the record.
-        record: Where the fit's course is written; None: memory only.
-        measured: The problem with measured segments, if the segments of `problem` are another drive's rollouts.
-        origin: Shell command of the run, from which the next commands are derived; None for a call from Python.
+    `record` is where the fit's course is written; None: memory only. `measured` is the problem with measured segments
+    if those of `problem` are another drive's rollouts. `origin` is the shell command of the run, from which the next
+    commands are derived; None for a call from Python. `name` of the friction model and `device` are for the record.
 
     Raises:
         FrictionzooError: The fit cannot begin, or the record cannot be written.
     """
-    began, steps = time.perf_counter(), finer(problem)
+    began, refine = time.perf_counter(), finer(problem)
     tell("")  # the fit shows its progress itself
     _log_engine(problem)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
     if problem.settings["loop"].get("progress", True):
         tell("computing intervals, evaluating rollouts with and without friction")
-    asked = time.perf_counter()
-    uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit, steps)
+    intervals_began = time.perf_counter()
+    uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit, refine)
 
-    judged = time.perf_counter()
+    evaluation_began = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(measured or problem)
-    torque, left = _measure_torque(problem, outcome), _find_left(problem, outcome)
-    residual = describe_residual(left, problem.objective.space, outcome.vector) if left else None
+    torque, residual_torque = _measure_torque(problem, outcome), _find_left(problem, outcome)
+    residual = describe_residual(residual_torque, problem.objective.space, outcome.vector) if residual_torque else None
 
-    found = Findings(
+    findings = Findings(
         name=name,
         bench=problem.bench,
         model=problem.drive.model,
@@ -96,7 +92,7 @@ def solve(
         residual=residual,
         links=problem.links,
         fit=_describe_fit(problem.objective.space, outcome, uncertainty),
-        timing=_describe_timing(problem, outcome, began, asked, judged),
+        timing=_describe_timing(problem, outcome, began, intervals_began, evaluation_began),
         settings=problem.settings,
         engine=problem.drive.engine.name,
         proof=problem.proof,
@@ -106,20 +102,23 @@ def solve(
         commands=suggest_commands(problem, outcome.values["bench"], residual, origin) if origin else [],
         recipe=[{"option": option, "value": value, "reason": reason} for option, value, reason in problem.choices],
     )
-    result = build_result(found)
+    result = build_result(findings)
     curves = _collect_curves(problem, outcome, judgement, baseline)
-    return _hand_over(problem, outcome, result, replace(curves, **_portray(problem, result, left)))
+    return _hand_over(problem, outcome, result, replace(curves, **_portray(problem, result, residual_torque)))
 
 
 def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curves) -> FittedDrive:
-    """Return the identified drive; the objective of its fit stays available while it is in memory."""
+    """Return the identified drive; it keeps the fit's objective while it is in memory."""
     return FittedDrive(
         folder=None,
         result=result,
         bench=problem.bench,
         model=copy.deepcopy(problem.drive.model).double(),
-        state={name: value.detach().clone() for name, value in problem.drive.model.state_dict().items()},
-        values={owner: {k: np.array(v, np.float64) for k, v in own.items()} for owner, own in outcome.values.items()},
+        state={name: tensor.detach().clone() for name, tensor in problem.drive.model.state_dict().items()},
+        values={
+            owner: {key: np.array(value, np.float64) for key, value in params.items()}
+            for owner, params in outcome.values.items()
+        },
         segments=problem.evaluation.trajectories,
         sampling=problem.sampling,
         curves=curves,
@@ -134,18 +133,18 @@ def finer(problem: Problem) -> Callable[[Float[np.ndarray, "coordinates"]], Obje
     None if `discretisation` is false, or if the fit minimises an objective without rollouts.
 
     Raises:
-        ConfigError: See `is_wanted`.
+        ConfigError: `discretisation` is neither true nor false.
     """
     by_rollouts = type(problem.fit).compile_scores is Fit.compile_scores
     if not (is_wanted(problem.settings["discretisation"]) and by_rollouts):
         return None
-    objective, pilot, half = problem.objective, problem.pilot, halve_step(problem.bench)
+    objective, pilot, halved = problem.objective, problem.pilot, halve_step(problem.bench)
 
     def approach(vector: Float[np.ndarray, "coordinates"]) -> Objective:
         if pilot is None:
-            return objective.approaching(in_other_steps(objective, problem.drive, half), vector)
-        half_wide = remake(pilot.bench, timestep=half.timestep, solreffriction=list(half.solreffriction))
-        return objective.approaching(pilot.simulate(half_wide), vector)
+            return objective.approaching(in_other_steps(objective, problem.drive, halved), vector)
+        pilot_bench = remake(pilot.bench, timestep=halved.timestep, solreffriction=list(halved.solreffriction))
+        return objective.approaching(pilot.simulate(pilot_bench), vector)
 
     return approach
 
@@ -171,7 +170,6 @@ def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
 
 
 def _measure_torque(problem: Problem, outcome: Outcome) -> TorqueRow | None:
-    """Return the residual torque of all recordings at the final values."""
     recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.logs)
     filtering = choose_filtering(problem.fit, problem.evaluation.torque)
     space = problem.objective.space
@@ -188,11 +186,11 @@ def _find_left(problem: Problem, outcome: Outcome) -> Left | None:
 def _portray(problem: Problem, result: Result, left: Left | None) -> dict[str, Any]:
     """Return friction curves with data, and the residual torque over time, as fields of `Curves`."""
     model, samples = problem.drive.model, problem.samples
-    drawn = result["covariance"] and draw_parameters("", result, problem.bench, model, DRAWS, seed=0)
+    draws = result["covariance"] and draw_parameters("", result, problem.bench, model, DRAWS, seed=0)
     if left is None:
-        return {"portraits": portray(model, drawn or {}, Rows(samples, samples.qvel != 0))}
+        return {"portraits": portray(model, draws or {}, Rows(samples, samples.qvel != 0))}
     torque = np.where(left.counts, left.torque, np.nan)
-    return {"portraits": portray(model, drawn or {}, left.rows), "left_time": left.time, "left": torque}
+    return {"portraits": portray(model, draws or {}, left.rows), "left_time": left.time, "left": torque}
 
 
 def _log_engine(problem: Problem) -> None:
@@ -236,7 +234,7 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
     """Return the actuators' torque at measured states [N m or N], at initial values: the same for all models."""
     values = {"bench": problem.bench.initial_values()}
     observe = make_observer(problem.drive.engine, problem.sampling)
-    # Only the torque: the model's other inputs need the links' dynamics, which take seconds to compile.
+    # Only the torque: other inputs need the links' dynamics, which take seconds to compile.
     torque = problem.drive.rollout.compile(lambda *states: observe(*states).motor_torque)
     states = segments.qpos[:, :-1], segments.qvel[:, :-1]
     return np.asarray(torque(values, *states, segments.signals, segments.loads), np.float64)
@@ -258,7 +256,7 @@ def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> F
 
 
 def _describe_timing(problem: Problem, outcome: Outcome, began: float, asked: float, judged: float) -> TimingRow:
-    """Return seconds of each part of `solve`, given when it, the intervals (`asked`) and the evaluation began [s]."""
+    """Return seconds of each part of `solve`; intervals began at `asked`, the evaluation at `judged` [s]."""
     ended = time.perf_counter()
     return {
         "setup": problem.seconds,
