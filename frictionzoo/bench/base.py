@@ -27,7 +27,7 @@ from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
-_ENDLESS = 0.1 * LARGEST  # N m or N; a torque range beyond it at both ends counts as unlimited
+_ENDLESS = 0.1 * LARGEST  # N m or N; a torque range beyond it at both ends is unlimited
 _MOST_SUBSTEPS = 10_000  # simulation steps per sample
 _MOST_HISTORY = 10_000  # longest delay of commands in samples
 DEFAULT_SOLREFFRICTION = (0.02, 1.0)
@@ -58,46 +58,38 @@ class Bench(Described):
         joints: Names of the identified joints, in MuJoCo's order.
         joint_type: `hinge` or `slide`.
         params: The armature, the delay and offsets if any, and the actuator's parameters.
-        timestep: Simulation step [s].
-        solreffriction: The argument, or MuJoCo's default instead of None and `auto`.
-        second_order: The argument, or false instead of None and `auto`.
-        integrator: Name of MuJoCo's integrator.
+        solreffriction: The argument; MuJoCo's default for None and `auto`.
+        second_order: The argument; false for None and `auto`.
         own_damping: Damping of each joint in the template [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
-        inertia: Ten parameters by name of each body whose inertia replaces the template's.
-        gravity: Gravity that replaces the template's [m/s^2], or None.
         notes: Features of a robot's file that the bench lacks, one line each.
-        unlimited: Position limits of a robot's file that the bench lacks [rad or m], of shape (nv, 2); NaN without a
-            limit.
-        observed: Inputs of the friction model in addition to the state: names in `Log.extras`, each with its value for
-            recordings without it; see `observing`.
+        unlimited: Position limits of a robot's file that the bench lacks [rad or m], (nv, 2); NaN without a limit.
+        observed: Inputs of the friction model in addition to the state, with their values for recordings without them.
 
     Args:
         mjcf: Path of the template, or the name of a template in the package (`knee_rod.xml`, `emps.xml`).
         joint: Name or names of the identified joints; None for a template with a single joint.
         actuator: Actuator law, which converts a command into torque.
-        params: Sections of `armature` and of three optional parameters: `delay` of the commands [s], `position_offset`
-            to add to the measured position [rad or m], and `torque_offset`, a constant torque in addition to the
-            actuator's, for example of a cable or of a link heavier than in the template [N m or N]. A number is a known
-            value. `DEFAULTS` completes the sections. An optional parameter known to be 0 is dropped. Values, bounds and
-            `identify` may be lists with one entry per joint, or mappings from patterns of joint names.
+        params: Sections of `armature` and of three optional parameters: `delay` of the commands [s], `position_offset`,
+            added to the measured position [rad or m], and `torque_offset`, a constant torque, for example of a cable
+            [N m or N]. A number is a known value. `DEFAULTS` completes the sections. An optional parameter known to be
+            0 is dropped. Values, bounds and `identify` may be lists with one entry per joint, or mappings from patterns
+            of joint names.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. With MuJoCo's default,
             (0.02, 1), dry friction is viscous at low speed; a shorter time constant makes sticking stiffer. None is
-            MuJoCo's default; so is `auto` until a recipe chooses the value.
-        second_order: Whether rollouts are of second order in the simulation step. The parameters are then those of the
+            the default; so is `auto` until a recipe chooses the value.
+        second_order: Whether rollouts are of second order in the simulation step. The parameters then describe the
             drive in continuous time; otherwise rollouts match MuJoCo at this step. In second-order rollouts dry
-            friction is Coulomb friction without creep if `solreffriction` is as stiff as MuJoCo allows, a time constant
-            of two steps. None is false; so is `auto` until a recipe chooses the value.
+            friction is Coulomb friction without creep if the time constant in `solreffriction` is two steps, the least
+            that MuJoCo allows. None is false; so is `auto` until a recipe chooses the value.
         integrator: `Euler` or `implicitfast`; None for the template's.
         payload: Name of the body that carries the payloads of recordings; None for recordings without payloads.
         timestep: Simulation step [s]; None for the template's, also used for `auto` until a recipe chooses the step.
-        inertia: Ten parameters of bodies by name, in the format of `frictionzoo.bench.inertia`, which replace the
-            template's: from `fit=inverse_dynamics` with `fit.links`, or from another identification.
+        inertia: Ten parameters of bodies by name, as in `frictionzoo.bench.inertia`, which replace the template's.
         gravity: Gravity in the world frame [m/s^2], for an inclined base; None for the template's.
         tie: Joints that share the values of every parameter of motor and gear: patterns of joint names by group name,
-            or true for all joints. Offsets (`position_offset`, `torque_offset`, `force_offset`) and the phase of a
-            ripple depend on the assembly of each joint and stay per joint. `tie` in a parameter's section has
-            precedence.
+            or true for all joints. Offsets and the phase of a ripple depend on the assembly and stay per joint. `tie`
+            in a parameter's section has precedence.
 
     Raises:
         BenchError: The template cannot be read or compiled, or lacks these joints.
@@ -149,8 +141,8 @@ class Bench(Described):
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
         group_joints("bench.tie", self._tie, self.joints)  # refuses patterns that match no joint
-        given = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})
-        self.params: dict[str, Param] = {name: param.for_joints(self.joints) for name, param in given.items()}
+        filled = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})
+        self.params: dict[str, Param] = {name: param.for_joints(self.joints) for name, param in filled.items()}
         refuse_negative("bench.params.", {name: param for name, param in self.params.items() if name in _PARAMS})
         model = self.compile(constraint=False)
         self._template.refuse_unfit(model, moved="position_offset" in self.params)
@@ -167,7 +159,7 @@ class Bench(Described):
         return Template(mjcf, joint, timestep)
 
     def _fill(self, params: Mapping[str, Param]) -> Mapping[str, Param]:
-        """Return the parameters with missing values filled in; this base class has no values to add."""
+        """Return the parameters with missing values filled in; the base class has none to add."""
         return params
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
@@ -185,14 +177,14 @@ class Bench(Described):
         Raises:
             ConfigError: The delay may exceed the longest history of commands.
         """
-        latest = 0.0
+        longest = 0.0
         if (delay := self.params.get("delay")) is not None:
-            init, high, free = (delay.each(what, self.nv) for what in ("init", "high", "identify"))
-            latest = float(np.where(free, high, init).max())
-        history = int(np.ceil(latest / interval - 1e-9))
+            init, high, free = (delay.each(field, self.nv) for field in ("init", "high", "identify"))
+            longest = float(np.where(free, high, init).max())
+        history = int(np.ceil(longest / interval - 1e-9))
         if history > _MOST_HISTORY:
             raise ConfigError(
-                f"bench.params.delay: up to {latest:g} s, which are {history} samples, expected at most "
+                f"bench.params.delay: up to {longest:g} s, which are {history} samples, expected at most "
                 f"{_MOST_HISTORY}; lower its init or high"
             )
         return Sampling(interval, self._substeps(interval), history, self.actuator.commands, self.second_order)
@@ -239,7 +231,7 @@ class Bench(Described):
         """Return the bench with other link inertias, in the format of the argument `inertia`."""
         other = copy.copy(self)
         other._template, other._loads = self._template.with_inertia(inertia), {}
-        other.inertia = {**self.inertia, **{name: list(map(float, own)) for name, own in inertia.items()}}
+        other.inertia = {**self.inertia, **{name: list(map(float, parameters)) for name, parameters in inertia.items()}}
         return other._telling(inertia=other.inertia)
 
     def with_gravity(self, gravity: Sequence[float | int]) -> "Bench":
@@ -254,10 +246,7 @@ class Bench(Described):
         return self
 
     def with_options(self, options: Mapping[str, Any]) -> "Bench":
-        """Return the bench with other options.
-
-        Args:
-            options: Values by option name, without the prefix `bench.`: `{"actuator.params.kp.init": 15.0}`.
+        """Return the bench with other options, such as `{"actuator.params.kp.init": 15.0}`, named without `bench.`.
 
         Raises:
             FrictionzooError: An option does not exist or has an invalid value.
@@ -267,7 +256,7 @@ class Bench(Described):
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
         """Return the bench with fitted values for a fit of another friction model; only the armature is free.
 
-        The other parameters stay fixed: a fit would change them to compensate for errors of the friction model.
+        A fit would change the other parameters to compensate for errors of the friction model.
         """
         armature = np.asarray(values["armature"])
         low, high = float(armature.min()) / _HEAVIER, float(armature.max()) * _HEAVIER
@@ -307,14 +296,11 @@ class Bench(Described):
         comments: Sequence[str] = (),
         limited: bool = False,
     ) -> str:
-        """Return the complete MJCF with these values at full precision.
+        """Return the complete MJCF at full precision.
 
-        Args:
-            values: Value of each of `params`, of shape (nv,).
-            frictionloss: Dry-friction limit of each joint [N m or N], of shape (nv,); None for no friction constraint.
-            damping: Damping of each joint [N m s/rad or N s/m], of shape (nv,), in addition to the template's.
-            comments: Lines for the top of the file.
-            limited: Whether MuJoCo's actuators limit the torque if they can, for the `ctrl` of `Actuator.combine`.
+        Without `frictionloss` [N m or N] it has no friction constraint; `damping` [N m s/rad or N s/m] adds to the
+        template's. `limited` lets MuJoCo's actuators limit the torque if they can, for the `ctrl` of
+        `Actuator.combine`.
         """
         affine = self.actuator.affine(values)
         joints, actuators = [], []
@@ -342,11 +328,9 @@ class Bench(Described):
         return self._template.write(self.nv * [{}], [])
 
     def compile(self, constraint: bool | Sequence[bool]) -> mujoco.MjModel:
-        """Return the compiled model with initial values.
+        """Return the compiled model with initial values; `constraint` adds friction constraints to all or some joints.
 
-        Args:
-            constraint: Whether all joints, or each joint, has a row of MuJoCo's friction constraint. MJX fixes the rows
-                when it reads the model; the limit is therefore compiled as positive and set to its value later.
+        MJX fixes the rows when it reads the model: the limit is compiled as positive and set to its value later.
 
         Raises:
             BenchError: MuJoCo refuses the template, or an option of it is not supported.
@@ -361,8 +345,8 @@ class Bench(Described):
 
         Raises:
             LogError: Column headers name only some of the joints, a joint twice, or unknown joints.
-            BenchError: The log does not fit this bench: another number of joints or actuators, another time step, a
-                payload without a body that carries it, or an input of the actuator law is missing or has a wrong shape.
+            BenchError: The log has another number of joints, an unsuitable interval, a payload without a body that
+                carries it, or lacks an input of the actuator law.
         """
         log = pair_log(log, self.joints)
         self._check_log(log)
@@ -378,9 +362,8 @@ class Bench(Described):
     def accept_all(self, dataset: Dataset) -> Dataset:
         """Return the data set with each log accepted.
 
-        All recordings must contain an input of the friction model, or none may. Without it, the model uses the constant
-        in `observed`, and the effect of other values is not identifiable. The same holds for optional inputs of the
-        actuator law.
+        All recordings must contain an input of friction model or actuator, or none may: the model then uses a constant,
+        and the effect of other values is not identifiable.
 
         Raises:
             BenchError: A log is not accepted, or only some logs contain an input.
@@ -393,10 +376,8 @@ class Bench(Described):
     def load(self, payload: Payload) -> Float[np.ndarray, "load"]:
         """Return the inertia of the model with a payload; empty for a bench without a payload body.
 
-        Returns:
-            Mass [kg], centre of mass [m] (3), orientation of the principal axes (quaternion, 4) and principal inertia
-            [kg m^2] (3) of the body with its payload; then the joint-space inertia at the reference position without
-            armature (nv * nv).
+        It consists of mass [kg], centre [m] (3), principal axes (quaternion, 4) and principal inertia [kg m^2] (3) of
+        the body with its payload, and the joint-space inertia at the reference position without armature (nv * nv).
         """
         if self.payload is None:
             return np.zeros(0)
@@ -415,10 +396,10 @@ class Bench(Described):
         Some of these benches do not compile. Bodies and identified joints are never removed. Positions and sizes come
         last: without them the motion may change so much that the cause of a problem has no effect.
         """
-        for what, template in self._template.simpler():
+        for part, template in self._template.simpler():
             other = copy.copy(self)
             other._template, other._loads = template, {}
-            yield what, other
+            yield part, other
 
     def _check_log(self, log: Log) -> None:
         for signal in ("qpos", "ctrl"):
@@ -455,17 +436,15 @@ class Bench(Described):
         return max(1, round(interval / self.timestep))
 
     def _limited_actuator(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
-        """Return the attributes of MuJoCo's actuator that limit its torque."""
         ends = self.actuator.force_range(values)
         if ends is None or np.abs(ends[index]).min() > _ENDLESS:
             return {}
         return {"forcelimited": "true", "forcerange": " ".join(map(in_full, ends[index]))}
 
     def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
-        """Return the attributes of MuJoCo's actuator that delay its commands.
+        """Return the attributes of MuJoCo's actuator that delay its commands; empty if the controller needs the state.
 
-        Empty for an actuator law whose controller needs the state: the controller combines delayed commands with the
-        present state, and MuJoCo's actuator must not delay the controller's output.
+        It then combines delayed commands with the present state, and MuJoCo's actuator must not delay its output.
         """
         if "delay" not in values or self.actuator.needs_state:
             return {}

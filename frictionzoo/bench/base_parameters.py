@@ -8,18 +8,15 @@ import numpy as np
 from jaxtyping import Float
 
 DEPENDENT = 1e-7
-"""Relative residual of a column projected onto the previous columns, below which the column depends on them."""
+"""A column depends on the previous columns below this relative residual of its projection onto them."""
 _NOTHING = 1e-9  # deviation of a coefficient from 1 that counts as rounding
 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """Minimal set of parameter combinations that determines the output of a regressor.
+    """Minimal set of parameter combinations that determines a regressor's output, one per row of `matrix`.
 
-    Attributes:
-        names: Names of the parameters.
-        leading: Index of the leading parameter of each combination, which has coefficient 1.
-        matrix: Coefficients of the parameters, one combination per row.
+    Each combination has a leading parameter with coefficient 1; `leading` has its index.
     """
 
     names: tuple[str, ...]
@@ -51,7 +48,7 @@ class BaseParameters:
         return text
 
     def _pick(self, chosen: Any) -> tuple[str, ...]:
-        return tuple(name for name, taken in zip(self.names, chosen, strict=True) if taken)
+        return tuple(name for name, is_chosen in zip(self.names, chosen, strict=True) if is_chosen)
 
 
 def find_base_parameters(
@@ -59,33 +56,27 @@ def find_base_parameters(
 ) -> BaseParameters:
     """Return the base parameters of a regressor: its independent columns, with the dependent ones grouped into them.
 
-    For a robot, order the bodies from the base outwards. Parameters of outer bodies that are not identifiable are then
-    grouped into inner bodies, as usual. Random states give the structurally identifiable parameters; the states of a
-    recording give those that it excites.
+    Order a robot's bodies from the base outwards, which groups parameters of outer bodies into inner bodies, as usual.
+    Random states give the structurally identifiable parameters; a recording's states give those that it excites.
 
     Source: M. Gautier, "Numerical calculation of the base inertial parameters of robots", 1991, with a selection of
     columns in their order instead of a QR decomposition that drops the smallest diagonal entries.
-
-    Args:
-        regressor: Effect of each parameter on each measurement.
-        names: Names of the parameters.
-        dependent: Threshold, see `DEPENDENT`.
     """
     triangle = np.asarray(np.linalg.qr(regressor, mode="r"))
-    basis, kept = np.zeros((len(triangle), 0)), []
+    basis, independent = np.zeros((len(triangle), 0)), []
     lengths = np.linalg.norm(triangle, axis=0)
     for index, column in enumerate(triangle.T):
-        rest = column - basis @ (basis.T @ column)
-        rest = rest - basis @ (basis.T @ rest)  # a second time against rounding errors
-        if np.linalg.norm(rest) > dependent * max(lengths[index], dependent * lengths.max()):
-            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-            kept.append(index)
-    seen = lengths > dependent * lengths.max()
-    others = np.setdiff1d(np.flatnonzero(seen), kept)
-    matrix = np.zeros((len(kept), len(names)))
-    matrix[np.arange(len(kept)), kept] = 1
-    if len(others):
-        factors = np.linalg.lstsq(triangle[:, kept], triangle[:, others], rcond=None)[0]
+        residual = column - basis @ (basis.T @ column)
+        residual = residual - basis @ (basis.T @ residual)  # a second time against rounding errors
+        if np.linalg.norm(residual) > dependent * max(lengths[index], dependent * lengths.max()):
+            basis = np.column_stack([basis, residual / np.linalg.norm(residual)])
+            independent.append(index)
+    effective = lengths > dependent * lengths.max()
+    grouped = np.setdiff1d(np.flatnonzero(effective), independent)
+    matrix = np.zeros((len(independent), len(names)))
+    matrix[np.arange(len(independent)), independent] = 1
+    if len(grouped):
+        factors = np.linalg.lstsq(triangle[:, independent], triangle[:, grouped], rcond=None)[0]
         scale = np.abs(factors).max(initial=1.0)
-        matrix[:, others] = np.where(np.abs(factors) > dependent * scale, factors, 0)
-    return BaseParameters(tuple(names), tuple(kept), matrix)
+        matrix[:, grouped] = np.where(np.abs(factors) > dependent * scale, factors, 0)
+    return BaseParameters(tuple(names), tuple(independent), matrix)

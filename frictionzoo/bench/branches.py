@@ -1,7 +1,7 @@
 """Branches of a robot with a fixed base: independent subtrees of bodies, grouped by identical structure.
 
-A suspended quadruped has four legs with independent equations of motion, and each leg is a separate problem. Legs with
-the same structure differ only in a few numbers of their links.
+A suspended quadruped has four legs with independent equations of motion; each is a separate problem, and the legs
+differ only in a few numbers of their links.
 """
 
 from collections.abc import Sequence
@@ -23,12 +23,9 @@ _SIGHT = ("geom_", "mesh_", "mat_", "site_", "cam_", "light_", "bvh_", "tex_", "
 
 
 class Alike(NamedTuple):
-    """Branches of the same structure.
+    """Branches of the same structure, one row each in `joints` (indices) and `links` (values of `fields`).
 
-    Attributes:
-        joints: Index of each joint, one row per branch.
-        fields: Numbers of the compiled model that differ between the branches: field, and index in its flattened array.
-        links: Values of these numbers, one row per branch.
+    `fields` are the numbers of the compiled model that differ: field, and index in its flattened array.
     """
 
     joints: Int[np.ndarray, "branches joints"]
@@ -45,12 +42,7 @@ def number_branches(model: mujoco.MjModel) -> tuple[int, ...]:
 
 
 def group_alike(joints: Sequence[Int[np.ndarray, "_"]], models: Sequence[mujoco.MjModel]) -> list[Alike]:
-    """Return the branches in groups of the same structure, by their compiled models.
-
-    Args:
-        joints: Indices of each branch's joints.
-        models: Compiled model of each branch without the others.
-    """
+    """Return the branches in groups of the same structure, from their joints' indices and compiled models."""
     groups: dict[bytes, list[int]] = {}
     for index, model in enumerate(models):
         groups.setdefault(_build(model), []).append(index)
@@ -61,23 +53,23 @@ def _compare(joints: Sequence[np.ndarray], models: Sequence[mujoco.MjModel]) -> 
     fields, links = [], []
     for name in _LINKS:
         rows = np.array([np.ravel(getattr(model, name)) for model in models])
-        for place in np.flatnonzero((rows != rows[0]).any(axis=0)):
-            fields.append((name, int(place)))
-            links.append(rows[:, place])
+        for entry in np.flatnonzero((rows != rows[0]).any(axis=0)):
+            fields.append((name, int(entry)))
+            links.append(rows[:, entry])
     return Alike(np.array(joints), tuple(fields), np.array(links).T.reshape(len(models), len(fields)))
 
 
 def _build(model: mujoco.MjModel) -> bytes:
     """Return the parts of a compiled model that must be identical: sizes, structure, actuators, options."""
-    found = []
+    parts = []
     for name in dir(model):
         if name.startswith(("_", *_SIGHT)) or name in _LINKS or any(part in name for part in _IDLE):
             continue
         value = getattr(model, name)
         if isinstance(value, int | float | np.ndarray):
-            found.append(name.encode() + np.ascontiguousarray(value).tobytes())
+            parts.append(name.encode() + np.ascontiguousarray(value).tobytes())
     options = (model.opt.timestep, *model.opt.gravity, model.opt.integrator, model.opt.disableflags)
-    return b" ".join(found) + np.array(options, float).tobytes() + b"".join(_shape(model))
+    return b" ".join(parts) + np.array(options, float).tobytes() + b"".join(_shape(model))
 
 
 def _shape(model: mujoco.MjModel) -> list[bytes]:

@@ -16,20 +16,20 @@ INERTIAL = 11
 
 
 def can_collide(model: mujoco.MjModel) -> bool:
-    """Return whether MuJoCo checks any two geoms for contacts.
+    """Return whether MuJoCo checks any two geoms for contacts, without regard to excluded pairs of the MJCF.
 
-    MuJoCo ignores geoms of one body or of bodies welded together and, unless `filterparent` is disabled, a moving
-    body and its parent. This function ignores the excluded pairs of the MJCF.
+    MuJoCo ignores geoms of one body or of bodies welded together and, unless `filterparent` is disabled, a moving body
+    and its parent.
 
     Source: MuJoCo documentation, "Computation", "Collision detection", selection.
     """
-    wanted = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
+    compatible = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
     body = model.body_weldid[model.geom_bodyid]
     parent = model.body_weldid[model.body_parentid[body]]
     # A fixed parent may touch its children.
     child = (parent[:, None] == body[None, :]) & (body[None, :] != 0)
     filtered = (child | child.T) & (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    return bool(((wanted | wanted.T) & (body[:, None] != body[None, :]) & ~filtered).any())
+    return bool(((compatible | compatible.T) & (body[:, None] != body[None, :]) & ~filtered).any())
 
 
 def combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "load"]:

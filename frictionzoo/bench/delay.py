@@ -15,9 +15,9 @@ def write_delay(delay: float, timestep: float) -> dict[str, str]:
     """Return the attributes of an actuator with a delay [s] in simulation steps of length `timestep` [s].
 
     MuJoCo interpolates linearly between steps: a held command acts with its mean over the step, as in
-    `frictionzoo.simulation.rollout.applied`. MuJoCo stores a command at the end of its step; its shortest delay is one
-    step. A shorter delay becomes a first-order filter with the same lag for a ramp: in each step its activation covers
-    1 / (1 + delay / timestep) of the distance to the command.
+    `frictionzoo.simulation.rollout.applied`. MuJoCo's shortest delay is one step. A shorter delay becomes a first-order
+    filter with the same lag for a ramp: in each step its activation covers 1 / (1 + delay / timestep) of the distance
+    to the command.
 
     Source: MuJoCo documentation, XML reference, `actuator/general/delay`; "Computation", "Actuation model".
     """
@@ -33,10 +33,10 @@ def write_delay(delay: float, timestep: float) -> dict[str, str]:
 def stretch(delay: Float[np.ndarray, "..."], timestep: float) -> Float[np.ndarray, "..."]:
     """Return the delays [s] that MuJoCo's RK4 needs to delay commands by `delay` [s] in steps of `timestep` [s].
 
-    RK4 reads the delayed command at the start, middle and end of a step, with weights of 1/6, 2/3 and 1/6. If it needs
-    a command that is not stored yet, it uses the last stored one. From a delay of two steps on, the lag of a ramp is
-    half a step shorter than the delay; the difference is smaller for shorter delays. Filters lag by their delay, but
-    RK4 is unstable below a fifteenth of a step: a delay below a tenth of a step is rounded to a tenth or to 0.
+    RK4 reads the delayed command at the start, middle and end of a step, with weights of 1/6, 2/3 and 1/6, and the last
+    stored command instead of one not stored yet. From a delay of two steps on, the lag of a ramp is half a step shorter
+    than the delay; the difference is smaller for shorter delays. Filters lag by their delay, but RK4 is unstable below
+    a fifteenth of a step: a delay below a tenth of a step is rounded to a tenth or to 0.
     """
     steps = np.asarray(delay) / timestep
     filtered = np.where(steps < _SHORTEST, np.round(steps / _SHORTEST) * _SHORTEST, steps)

@@ -43,25 +43,20 @@ def _list_missing(section: Mapping[str, Any]) -> list[str]:
 def find_gains(section: Mapping[str, Any], dataset: Dataset, missing: MissingValueError) -> dict[str, Any]:
     """Return options with the missing gains from the recordings, without the prefix `bench.`, and log their origin.
 
-    Args:
-        section: The bench's section.
-        dataset: Recordings.
-        missing: Error raised when the bench was built.
-
     Raises:
         ConfigError: A recorded gain varies, or the recordings do not determine a gain.
-        MissingValueError: The missing value is not a gain.
+        MissingValueError: `missing`, the error of building the bench, if the missing value is not a gain.
     """
     wanted = _list_missing(section)
     if not wanted:
         raise missing
-    found, why = _read_columns(wanted, dataset), ""
-    if left := [name for name in wanted if name not in found]:
-        regressed, why = _regress(dataset.train)
-        found |= {name: regressed[name] for name in left if name in regressed}
-    if left := [name for name in wanted if name not in found]:
-        _ask(left, why)
-    return {_OPTION.format(name): values if len(values) > 1 else values[0] for name, values in found.items()}
+    gains, reason = _read_columns(wanted, dataset), ""
+    if unresolved := [name for name in wanted if name not in gains]:
+        regressed, reason = _regress(dataset.train)
+        gains |= {name: regressed[name] for name in unresolved if name in regressed}
+    if unresolved := [name for name in wanted if name not in gains]:
+        _ask(unresolved, reason)
+    return {_OPTION.format(name): values if len(values) > 1 else values[0] for name, values in gains.items()}
 
 
 def _ask(names: Sequence[str], why: str) -> None:
@@ -76,12 +71,8 @@ def _ask(names: Sequence[str], why: str) -> None:
 
 
 def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[float]]:
-    """Return gains that all recordings contain as columns, one value per joint.
-
-    Raises:
-        ConfigError: A gain varies.
-    """
-    found: dict[str, list[float]] = {}
+    """Return gains that all recordings contain as constant columns, one value per joint."""
+    gains: dict[str, list[float]] = {}
     for name in wanted:
         if not all(name in log.extras for log in dataset.logs):
             continue
@@ -92,9 +83,9 @@ def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[flo
                 f"{name} varies in the recordings, from {values.min():.4g} to {values.max():.4g}, expected one value a "
                 f"joint; take the recorded gains: bench.actuator._target_=frictionzoo.bench.RecordedPD {leave_out}"
             )
-        found[name] = values[0].tolist()
-        _tell(name, found[name], "as recorded")
-    return found
+        gains[name] = values[0].tolist()
+        _tell(name, gains[name], "as recorded")
+    return gains
 
 
 def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
@@ -108,22 +99,22 @@ def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
         return {}, f", and the recorded torque is not kp (ctrl - qpos) - kd qvel ({share})"
     if any(row.error > _KNOWN or row.kp <= 0 for row in rows):
         return {}, ", and the motion contains too little information to separate kp from kd"
-    found = {
+    gains = {
         "kp": [float(f"{row.kp:.4g}") for row in rows],
         "kd": [float(f"{max(row.kd, _LEAST * row.kp):.4g}") for row in rows],
     }
-    for name, values in found.items():
+    for name, values in gains.items():
         share = f"{100 * worst.explained:.1f} % of its variance"
         _tell(name, values, f"from the recorded torque; both gains explain {share}")
-    return found, ""
+    return gains, ""
 
 
 def _regress_joint(logs: Sequence[Log], joint: int) -> _Regression:
     """Return the regression with the best lag of the command."""
     step = max(1, round(_LATEST / logs[0].timestep / _LAGS))
     lags = range(0, round(_LATEST / logs[0].timestep) + 1, step)
-    tried = (_solve(*_equations(logs, joint, lag)) for lag in lags if all(log.samples > lag + 100 for log in logs))
-    return max(tried, key=lambda row: row.explained, default=_Regression(0.0, 0.0, 0.0, np.inf))
+    fits = (_solve(*_equations(logs, joint, lag)) for lag in lags if all(log.samples > lag + 100 for log in logs))
+    return max(fits, key=lambda row: row.explained, default=_Regression(0.0, 0.0, 0.0, np.inf))
 
 
 def _equations(
@@ -132,25 +123,27 @@ def _equations(
     """Return columns and torques of torque = kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque + offset."""
     columns, torques = [], []
     for log in logs:
-        still = np.zeros_like(log.qpos)
-        speed, fed = (np.broadcast_to(log.extras.get(n, still), still.shape) for n in ("ctrl_velocity", "ctrl_torque"))
+        zeros = np.zeros_like(log.qpos)
+        velocity, feedforward = (
+            np.broadcast_to(log.extras.get(n, zeros), zeros.shape) for n in ("ctrl_velocity", "ctrl_torque")
+        )
         end = log.samples - lag
-        error, rate = log.ctrl[:end] - log.qpos[lag:], speed[:end] - log.qvel[lag:]
+        error, rate = log.ctrl[:end] - log.qpos[lag:], velocity[:end] - log.qvel[lag:]
         columns.append(np.column_stack([error[:, joint], rate[:, joint], np.ones(end)]))
-        torques.append(log.extras["torque"][lag:, joint] - fed[:end, joint])
+        torques.append(log.extras["torque"][lag:, joint] - feedforward[:end, joint])
     return np.concatenate(columns), np.concatenate(torques)
 
 
 def _solve(columns: Float[np.ndarray, "rows 3"], torque: Float[np.ndarray, "rows"]) -> _Regression:
     size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     values = np.linalg.lstsq(columns / size, torque, rcond=None)[0]
-    rest, spread = torque - columns / size @ values, max(float(np.var(torque)), 1e-300)
-    covariance = _CORRELATED * np.var(rest) * np.linalg.pinv((columns / size).T @ (columns / size))
+    residual, variance = torque - columns / size @ values, max(float(np.var(torque)), 1e-300)
+    covariance = _CORRELATED * np.var(residual) * np.linalg.pinv((columns / size).T @ (columns / size))
     error = float(np.sqrt(covariance[0, 0]) / max(abs(values[0]), 1e-300))
     kp, kd, _ = (values / size).tolist()
-    return _Regression(kp, kd, float(1 - np.var(rest) / spread), error)
+    return _Regression(kp, kd, float(1 - np.var(residual) / variance), error)
 
 
 def _tell(name: str, values: Sequence[float], why: str) -> None:
-    said = values[0] if len(values) == 1 else f"[{','.join(f'{value:g}' for value in values)}]"
-    _log.info("bench.%s=%s: %s", _OPTION.format(name), said, why)
+    text = values[0] if len(values) == 1 else f"[{','.join(f'{value:g}' for value in values)}]"
+    _log.info("bench.%s=%s: %s", _OPTION.format(name), text, why)

@@ -15,14 +15,7 @@ from frictionzoo.data.source import Source
 
 
 class Given(NamedTuple):
-    """Input of an identification, read without torch and JAX.
-
-    Attributes:
-        bench: The bench.
-        dataset: Recordings, train and test.
-        seconds: Time to read them [s].
-        settings: All options of the run, including gains from the recordings.
-    """
+    """Input of an identification, read in `seconds` [s] without torch and JAX; `settings` include recorded gains."""
 
     bench: Bench
     dataset: Dataset
@@ -31,14 +24,12 @@ class Given(NamedTuple):
 
     @classmethod
     def read(cls, settings: Mapping[str, Any]) -> "Given":
-        """Return the bench and the recordings of the sections `bench` and `data`.
-
-        Missing controller gains are taken from the recordings if possible.
+        """Return the bench and recordings of the sections `bench` and `data`; missing gains come from the recordings.
 
         Raises:
             FrictionzooError: The bench, the recordings or the section of a friction parameter are missing or invalid.
         """
-        began = time.perf_counter()
+        start = time.perf_counter()
         # The friction model checks names and dimensions when it is built.
         for name, section in (settings.get("model", {}).get("params") or {}).items():
             Param.from_config(name, "1", section)
@@ -48,11 +39,11 @@ class Given(NamedTuple):
         if missing:
             section = put_options(section, find_gains(section, dataset, missing))
             bench = build(section, Bench)
-        return cls(bench, dataset, time.perf_counter() - began, {**settings, "bench": section})
+        return cls(bench, dataset, time.perf_counter() - start, {**settings, "bench": section})
 
 
 def build_open(section: Mapping[str, Any]) -> tuple[Bench, MissingValueError | None]:
-    """Return the bench of a section, and the error if gains are missing; these are 1 in the bench.
+    """Return the bench of a section, with 1 for missing gains, and the error if gains are missing.
 
     Raises:
         FrictionzooError: The section is invalid, or a value other than a gain is missing.

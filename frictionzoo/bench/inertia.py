@@ -1,7 +1,7 @@
 """Parametrisations of link inertia: ten inertial parameters, pseudo-inertia and log-Cholesky coordinates.
 
-The inverse dynamics of a robot is linear in the ten parameters: mass m [kg], first moments m c [kg m], and the inertia
-about the origin of the body frame, in its axes and in the order of MuJoCo's `fullinertia`: Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+A robot's inverse dynamics is linear in the ten parameters: mass m [kg], first moments m c [kg m], and the inertia about
+the origin of the body frame, in its axes and in the order of MuJoCo's `fullinertia`: Ixx, Iyy, Izz, Ixy, Ixz, Iyz
 [kg m^2]. The pseudo-inertia J contains second moments S instead of the inertia I:
 
     J = [[S, m c], [m c', m]],  S = trace(I) / 2 - I
@@ -48,13 +48,7 @@ def _parameters_of(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "10"]:
 def to_parameters(
     mass: float, centre: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "10"]:
-    """Return the ten parameters of a body.
-
-    Args:
-        mass: Mass [kg].
-        centre: Centre of mass in the body frame [m].
-        inertia: Inertia about the centre of mass, in the axes of the body frame [kg m^2].
-    """
+    """Return a body's ten parameters from mass [kg], centre [m] and inertia about it in the body's axes [kg m^2]."""
     about_origin = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     return np.concatenate([[mass], mass * centre, _six(about_origin)])
 
@@ -92,9 +86,9 @@ def to_pseudo_inertia(parameters: Float[np.ndarray, "*batch 10"]) -> Float[np.nd
     inertia = parameters[..., 4:][..., _AXES]
     trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
     second = trace / 2 * np.eye(3) - inertia
-    first, mass = parameters[..., 1:4], parameters[..., :1]
-    upper = np.concatenate([second, first[..., None]], axis=-1)
-    return np.concatenate([upper, np.concatenate([first, mass], axis=-1)[..., None, :]], axis=-2)
+    first_moment, mass = parameters[..., 1:4], parameters[..., :1]
+    upper = np.concatenate([second, first_moment[..., None]], axis=-1)
+    return np.concatenate([upper, np.concatenate([first_moment, mass], axis=-1)[..., None, :]], axis=-2)
 
 
 def from_pseudo_inertia(pseudo: Inexact[np.ndarray, "*batch 4 4"]) -> Inexact[np.ndarray, "*batch 10"]:
@@ -113,22 +107,17 @@ def is_consistent(parameters: Float[np.ndarray, "*batch 10"]) -> Any:
 class LogCholesky:
     """Log-Cholesky coordinates of bodies' inertia; every vector is physically consistent, zero is the nominal body.
 
-    For one body with nominal mass m0, centre c0 and second moments S0 = L0 L0' about the centre:
+    For one body with nominal `mass` m0 [kg], `centre` c0 [m] and second moments S0 = L0 L0' about the centre, with
+    `factor` L0 [kg^(1/2) m]:
 
         m = m0 exp(x0),  c = c0 + (x1, x2, x3),  S = exp(x0) L0 A A' L0'
         A = [[exp(x4), x7, x8], [0, exp(x5), x9], [0, 0, exp(x6)]]
 
-    with S about the new centre and L0 upper triangular. x0 changes the mass relative to m0, x1 to x3 are in metres, and
-    x4 to x9 change the spread of the mass relative to the nominal spread. The pseudo-inertia is U U' with an upper
-    triangular U with positive diagonal for every x, and every positive definite pseudo-inertia has coordinates.
+    with S about the new centre and L0 upper triangular. x1 to x3 are in metres. The pseudo-inertia is U U' with an
+    upper triangular U with positive diagonal for every x, and every positive definite pseudo-inertia has coordinates.
 
-    Source: C. Rucker, P. Wensing, "Smooth parameterization of rigid-body inertia", 2022, here relative to
-    the nominal body instead of a body of unit mass.
-
-    Attributes:
-        mass: Nominal masses, of shape (bodies,) [kg].
-        centre: Nominal centres, of shape (bodies, 3) [m].
-        factor: L0, of shape (bodies, 3, 3) [kg^(1/2) m].
+    Source: C. Rucker, P. Wensing, "Smooth parameterization of rigid-body inertia", 2022, here relative to the nominal
+    body instead of a body of unit mass.
     """
 
     mass: Float[np.ndarray, "bodies"]
@@ -139,49 +128,45 @@ class LogCholesky:
     def around(cls, parameters: Float[np.ndarray, "bodies 10"], names: Sequence[str]) -> "LogCholesky":
         """Return the coordinates relative to nominal bodies, with at least the thickness `THINNEST`.
 
-        Args:
-            parameters: Ten parameters of each body.
-            names: Names of the bodies, for messages.
-
         Raises:
             BenchError: A body has no mass, or its inertia is not physical.
         """
-        parts = [_reference(own, name) for own, name in zip(parameters, names, strict=True)]
+        parts = [_reference(nominal, name) for nominal, name in zip(parameters, names, strict=True)]
         mass, centre, factor = (np.array(part) for part in zip(*parts, strict=True))
         return cls(mass, centre, factor)
 
     def parameters(self, coordinates: Inexact[np.ndarray, "bodies 10"]) -> Inexact[np.ndarray, "bodies 10"]:
         """Return the ten parameters of each body from its coordinates, real or complex."""
-        moved = np.moveaxis(coordinates, -1, 0)
-        ratio, (s12, s13, s23), zero = np.exp(moved[0]), moved[7:], 0 * moved[0]
-        d1, d2, d3 = np.exp(moved[4:7])
+        x = np.moveaxis(coordinates, -1, 0)
+        ratio, (s12, s13, s23), zero = np.exp(x[0]), x[7:], 0 * x[0]
+        d1, d2, d3 = np.exp(x[4:7])
         stretch = np.stack([d1, s12, s13, zero, d2, s23, zero, zero, d3], axis=-1).reshape(-1, 3, 3)
         spread = self.factor @ stretch
-        mass, centre = self.mass * ratio, self.centre + moved[1:4].T
-        first = mass[:, None] * centre
+        mass, centre = self.mass * ratio, self.centre + x[1:4].T
+        first_moment = mass[:, None] * centre
         about_origin = ratio[:, None, None] * spread @ spread.swapaxes(-1, -2)
-        about_origin = about_origin + first[:, :, None] * centre[:, None, :]
-        upper = np.concatenate([about_origin, first[..., None]], axis=-1)
-        lower = np.concatenate([first, mass[:, None]], axis=-1)[..., None, :]
+        about_origin = about_origin + first_moment[:, :, None] * centre[:, None, :]
+        upper = np.concatenate([about_origin, first_moment[..., None]], axis=-1)
+        lower = np.concatenate([first_moment, mass[:, None]], axis=-1)[..., None, :]
         return from_pseudo_inertia(np.concatenate([upper, lower], axis=-2))
 
     def slopes(self, coordinates: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10 10"]:
         """Return the derivative of each body's ten parameters, in rows, with respect to its coordinates, in columns."""
         # A complex step has no cancellation, and the derivative is exact to rounding.
         steps = 1e-30j * np.eye(10)
-        moved = [self.parameters(coordinates + step).imag / 1e-30 for step in steps]
-        return np.stack(moved, axis=-1)
+        columns = [self.parameters(coordinates + step).imag / 1e-30 for step in steps]
+        return np.stack(columns, axis=-1)
 
     def coordinates(self, parameters: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10"]:
         """Return the coordinates of bodies from their ten parameters, which must be physically consistent."""
-        found = []
-        for own, mass0, centre0, factor0 in zip(parameters, self.mass, self.centre, self.factor, strict=True):
-            mass, centre, _ = from_parameters(own)
-            second = to_pseudo_inertia(own)[:3, :3] - mass * np.outer(centre, centre)
+        rows = []
+        for body, mass0, centre0, factor0 in zip(parameters, self.mass, self.centre, self.factor, strict=True):
+            mass, centre, _ = from_parameters(body)
+            second = to_pseudo_inertia(body)[:3, :3] - mass * np.outer(centre, centre)
             stretch = np.linalg.solve(factor0, _upper_cholesky(second * mass0 / mass))
             sizes = np.concatenate([np.log(np.diag(stretch)), stretch[np.triu_indices(3, 1)]])
-            found.append(np.concatenate([[np.log(mass / mass0)], centre - centre0, sizes]))
-        return np.array(found)
+            rows.append(np.concatenate([[np.log(mass / mass0)], centre - centre0, sizes]))
+        return np.array(rows)
 
 
 def _reference(
@@ -201,7 +186,7 @@ def _reference(
 
 
 def _upper_cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the upper triangular U with U U' = matrix, from numpy's lower factor by reversing rows and columns."""
+    """Return the upper triangular U with U U' = matrix."""
     return np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1]
 
 

@@ -19,14 +19,9 @@ _MOVED = 1e-3  # displacement of command or joint that tests the actuator [rad o
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of position, velocity and torque for each joint.
+    """Limits of each joint: `low` and `high` positions [rad or m], speed [rad/s or m/s] and actuator torque [N m or N].
 
-    Attributes:
-        home: Position at the beginning and the end [rad or m], of shape (nv,).
-        low: Lowest position [rad or m], of shape (nv,).
-        high: Highest position [rad or m], of shape (nv,).
-        velocity: Largest speed [rad/s or m/s], of shape (nv,).
-        torque: Largest magnitude of the actuator's torque or force [N m or N], of shape (nv,).
+    The motion begins and ends at `home`.
 
     Raises:
         ConfigError: The limits allow no motion.
@@ -43,8 +38,8 @@ class Limits:
             if not (getattr(self, name) > 0).all():
                 raise ConfigError(f"{name}={_say(getattr(self, name))}: expected above 0; without it nothing moves")
         if not (self.low < self.high).all():
-            came = f"position=[{_say(self.low)}, {_say(self.high)}]"
-            raise ConfigError(f"{came}: expected two numbers, the smaller first")
+            value = f"position=[{_say(self.low)}, {_say(self.high)}]"
+            raise ConfigError(f"{value}: expected two numbers, the smaller first")
         if not ((self.low < self.home) & (self.home < self.high)).all():
             raise ConfigError(
                 f"home={_say(self.home)}: expected between {_say(self.low)} and {_say(self.high)}, as position has it"
@@ -70,36 +65,19 @@ class Limits:
         return replace(self, low=low, high=high, velocity=share * self.velocity, torque=share * self.torque)
 
     def shares(self, xp: Any, command: Any, speed: Any, qpos: Any, qvel: Any, torque: Any) -> Any:
-        """Return the used share of the limit for each of `KINDS`, of shape (5, ..., nv); 1 is the limit.
-
-        Args:
-            xp: Array namespace.
-            command: Commanded position [rad or m], of shape (..., nv).
-            speed: Its derivative [rad/s or m/s].
-            qpos: Position [rad or m].
-            qvel: Velocity [rad/s or m/s].
-            torque: Torque or force of the actuator [N m or N].
-        """
-        wanted, reached = (
+        """Return each of `KINDS` relative to its limit, (5, ..., nv); `speed` is the derivative of `command`."""
+        commanded, reached = (
             xp.maximum((x - self.home) / (self.high - self.home), self._below(x)) for x in (command, qpos)
         )
-        speeds = abs(speed) / self.velocity, abs(qvel) / self.velocity
-        return xp.stack([wanted, speeds[0], reached, speeds[1], abs(torque) / self.torque])
+        velocities = abs(speed) / self.velocity, abs(qvel) / self.velocity
+        return xp.stack([commanded, velocities[0], reached, velocities[1], abs(torque) / self.torque])
 
     def _below(self, position: Any) -> Any:
         return (self.home - position) / (self.home - self.low)
 
 
 class Motion(NamedTuple):
-    """A command and its motion; each of shape (..., samples, nv).
-
-    Attributes:
-        ctrl: Commanded position [rad or m].
-        speed: Its derivative [rad/s or m/s].
-        qpos: Position [rad or m].
-        qvel: Velocity [rad/s or m/s].
-        torque: Torque or force of the actuator from each sample on [N m or N].
-    """
+    """A command, its derivative and its motion, (..., samples, nv); `torque` is the actuator's from each sample on."""
 
     ctrl: Any
     speed: Any
@@ -114,12 +92,6 @@ class Motion(NamedTuple):
 
 def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[str, Any], limits: Limits) -> None:
     """Refuse a drive that no command can hold at a position, and limits that do not let it rest at `home`.
-
-    Args:
-        bench: The test stand.
-        values: Values of its parameters, by name.
-        inputs: Further inputs of the actuator model, each of shape (nv,).
-        limits: The limits.
 
     Raises:
         ConfigError: The command is not a position, or holding the drive takes more than the allowed torque.
@@ -144,13 +116,13 @@ def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[s
     data = mujoco.MjData(model)
     data.qpos[:] = home
     mujoco.mj_forward(model, data)
-    needed = np.abs(data.qfrc_bias - data.qfrc_passive)
-    if not (needed < limits.torque).all():
-        joint = int(np.argmax(needed / limits.torque))
+    holding_torque = np.abs(data.qfrc_bias - data.qfrc_passive)
+    if not (holding_torque < limits.torque).all():
+        joint = int(np.argmax(holding_torque / limits.torque))
         unit = UNITS[bench.joint_type]
         raise ConfigError(
             f"torque={limits.torque[joint]:g}: holding {bench.joints[joint]} at {home[joint]:.4g} {unit['position']} "
-            f"alone takes {needed[joint]:.4g} {unit['torque']}, expected more than that; raise it, or set home"
+            f"alone takes {holding_torque[joint]:.4g} {unit['torque']}, expected more than that; raise it, or set home"
         )
 
 
@@ -171,12 +143,12 @@ def _pair(given: Any) -> tuple[float, float]:
 
 def _per_joint(name: str, given: Any, nv: int) -> Float[np.ndarray, "nv"]:
     try:
-        found = np.asarray(given, np.float64)
+        values = np.asarray(given, np.float64)
     except (TypeError, ValueError):
         raise ConfigError(f"{name}={given}: expected a number, or a list of {nv}, one a joint") from None
-    if found.shape not in ((), (1,), (nv,)) or not np.isfinite(found).all():
+    if values.shape not in ((), (1,), (nv,)) or not np.isfinite(values).all():
         raise ConfigError(f"{name}={given}: expected a number, or a list of {nv}, one a joint")
-    return np.broadcast_to(found, nv)
+    return np.broadcast_to(values, nv)
 
 
 def _say(values: np.ndarray) -> str:

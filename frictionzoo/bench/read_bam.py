@@ -61,8 +61,7 @@ class BamDrive:
         bam: BAM's name of the friction model, `m1` to `m6`.
         actuator: BAM's name of the servo.
         bench: Values of the parameters of the bench and of `VoltageServo`.
-        model: Name of the friction model in frictionzoo.
-        friction: Values of its parameters; conf/model has the others.
+        friction: Values of the parameters of `model`; conf/model has the others.
         remarks: Differences from BAM, a sentence each.
     """
 
@@ -75,10 +74,10 @@ class BamDrive:
 
     def overrides(self) -> list[str]:
         """Return the values as known parameters in options of a run, for a bench with a `VoltageServo`."""
-        own = {f"bench.params.{name}": self.bench[name] for name in ("armature", "delay", "position_offset")}
-        actuator = {f"bench.actuator.params.{k}": v for k, v in self.bench.items() if f"bench.params.{k}" not in own}
-        known = own | actuator | {f"model.params.{name}": value for name, value in self.friction.items()}
-        return [f"model={self.model}", "fit=known", *(f"{name}={_known(value)}" for name, value in known.items())]
+        bench = {f"bench.params.{name}": self.bench[name] for name in ("armature", "delay", "position_offset")}
+        actuator = {f"bench.actuator.params.{k}": v for k, v in self.bench.items() if f"bench.params.{k}" not in bench}
+        values = bench | actuator | {f"model.params.{name}": value for name, value in self.friction.items()}
+        return [f"model={self.model}", "fit=known", *(f"{name}={_known(value)}" for name, value in values.items())]
 
 
 def read_bam(path: Path) -> BamDrive:
@@ -90,8 +89,8 @@ def read_bam(path: Path) -> BamDrive:
     data = load_parameters(path)
     bench = read_bench(path, data)
     model, names = LAWS[data["model"]]
-    read = {"dtheta_stribeck": _positive, "alpha": _positive}
-    friction = {own: read.get(bam, _number)(path, data, bam) for bam, own in names.items()}
+    readers = {"dtheta_stribeck": _positive, "alpha": _positive}
+    friction = {name: readers.get(bam, _number)(path, data, bam) for bam, name in names.items()}
     friction["frictionloss"] = max(friction["frictionloss"], _NEGLIGIBLE)
     remarks = ()
     if "max_velocity" in data:
@@ -109,8 +108,8 @@ def load_parameters(path: Path) -> dict[str, Any]:
     try:
         data = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else f"not JSON ({error})"
-        raise ConfigError(f"{path}: {why}; expected a parameter file of BAM; name one") from None
+        reason = error.strerror if isinstance(error, OSError) else f"not JSON ({error})"
+        raise ConfigError(f"{path}: {reason}; expected a parameter file of BAM; name one") from None
     if not isinstance(data, dict) or data.get("model") not in list(LAWS) or not isinstance(data.get("actuator"), str):
         raise ConfigError(f"{path}: no model ({', '.join(LAWS)}) and actuator in it; expected a parameter file of BAM")
     return data
@@ -141,8 +140,8 @@ def read_bench(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
 def _number(path: Path, data: Mapping[str, Any], name: str, default: float | None = None) -> float:
     value = data.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        came = "is missing" if value is None else f"is {value}"
-        raise ConfigError(f"{path}: {name} {came}, expected a number as model={data['model']} has it; mend the file")
+        problem = "is missing" if value is None else f"is {value}"
+        raise ConfigError(f"{path}: {name} {problem}, expected a number as model={data['model']} has it; mend the file")
     return float(value)
 
 
@@ -154,10 +153,9 @@ def _positive(path: Path, data: Mapping[str, Any], name: str) -> float:
 
 
 def _known(value: float) -> str:
-    """Return the section of a known parameter with this value."""
-    reach = 2 * abs(value) or 1.0
-    low = -reach if value < 0 else 0.0
-    return f"{{init:{value!r},low:{low!r},high:{reach!r},scale:1.0,identify:false}}"
+    bound = 2 * abs(value) or 1.0
+    low = -bound if value < 0 else 0.0
+    return f"{{init:{value!r},low:{low!r},high:{bound!r},scale:1.0,identify:false}}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

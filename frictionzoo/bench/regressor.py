@@ -1,8 +1,4 @@
-"""Inverse dynamics of a compiled MuJoCo model, and the regressor of its torque on the links' inertial parameters.
-
-The kinematics comes from MuJoCo. This module adds the derivative of the recursive Newton-Euler algorithm with respect
-to mass, centre and inertia, vectorised over samples.
-"""
+"""Inverse dynamics of a compiled MuJoCo model, and its regressor on inertial parameters, vectorised over samples."""
 
 import copy
 from collections.abc import Sequence
@@ -47,15 +43,7 @@ def inverse_torque(
     qvel: Float[np.ndarray, "time nv"],
     qacc: Float[np.ndarray, "time nv"],
 ) -> Float[np.ndarray, "time nv"]:
-    """Return the torque of a motion with links, springs and dampers, by MuJoCo's inverse dynamics [N m or N].
-
-    It excludes armature and MuJoCo's constraints, such as dry friction.
-
-    Args:
-        model: Compiled model with hinges and slides.
-        qpos: Positions [rad or m].
-        qvel: Velocities [rad/s or m/s].
-        qacc: Accelerations [rad/s^2 or m/s^2].
+    """Return the torque of a motion with links, springs and dampers, without armature and constraints [N m or N].
 
     Raises:
         BenchError: A joint is neither a hinge nor a slide.
@@ -75,7 +63,7 @@ def inertial_regressor(
     qvel: Float[np.ndarray, "time nv"],
     qacc: Float[np.ndarray, "time nv"],
 ) -> Float[np.ndarray, "time nv bodies 10"]:
-    """Return the derivative of a motion's torque with respect to the ten inertial parameters of selected bodies.
+    """Return the derivative of a motion's torque with respect to the ten inertial parameters of bodies, given by index.
 
     With the angular velocity w and acceleration e of a body and the acceleration a of its origin minus gravity, all in
     the body frame, its force and its torque about the origin are
@@ -87,13 +75,6 @@ def inertial_regressor(
 
     Source: C. Atkeson, C. An, J. Hollerbach, "Estimation of inertial parameters of manipulator loads and links", 1986.
 
-    Args:
-        model: Compiled model with hinges and slides.
-        bodies: Indices of the bodies.
-        qpos: Positions [rad or m].
-        qvel: Velocities [rad/s or m/s].
-        qacc: Accelerations [rad/s^2 or m/s^2].
-
     Raises:
         BenchError: A joint is neither a hinge nor a slide, or a body has gravity compensation, which depends on mass.
     """
@@ -103,65 +84,59 @@ def inertial_regressor(
             f"body {model.body(body).name}: gravcomp={model.body_gravcomp[body]:g}, expected 0 of a body whose inertia "
             "is identified; take it out of the MJCF"
         )
-    axes, spin, turn, lift = _motions(model, chosen, qpos, qvel, qacc)
-    zero = np.zeros((*spin.shape[:-1], 3, 1))
-    inertia = _times_six(turn) + _cross(spin) @ _times_six(spin)
-    torque = np.concatenate([zero, -_cross(lift), inertia], axis=-1)
-    first = _cross(turn) + _cross(spin) @ _cross(spin)
-    force = np.concatenate([lift[..., None], first, np.zeros((*spin.shape[:-1], 3, 6))], axis=-1)
-    needed = axes @ np.concatenate([torque, force], axis=-2)
-    return np.ascontiguousarray(needed.swapaxes(1, 2))
+    axes, w, e, a = _motions(model, chosen, qpos, qvel, qacc)
+    zero = np.zeros((*w.shape[:-1], 3, 1))
+    inertia = _times_six(e) + _cross(w) @ _times_six(w)
+    torque = np.concatenate([zero, -_cross(a), inertia], axis=-1)
+    first_moment = _cross(e) + _cross(w) @ _cross(w)
+    force = np.concatenate([a[..., None], first_moment, np.zeros((*w.shape[:-1], 3, 6))], axis=-1)
+    regressor = axes @ np.concatenate([torque, force], axis=-2)
+    return np.ascontiguousarray(regressor.swapaxes(1, 2))
 
 
 def _motions(
     model: mujoco.MjModel, bodies: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray
 ) -> tuple[Any, Any, Any, Any]:
-    """Return the motion of bodies in their frames.
-
-    Returns:
-        Joint axes (rotation, then translation of the origin), of shape (time, bodies, nv, 6); angular velocity, angular
-        acceleration, and acceleration of the origin minus gravity, each of shape (time, bodies, 3).
-    """
+    """Return joint axes (time, bodies, nv, 6), rotation first; w, e, a (time, bodies, 3) of `inertial_regressor`."""
     data, samples = mujoco.MjData(model), len(qpos)
-    place, rotation = np.empty((samples, model.nbody, 3)), np.empty((samples, model.nbody, 9))
+    position, rotation = np.empty((samples, model.nbody, 3)), np.empty((samples, model.nbody, 9))
     cdof, cdof_dot = np.empty((2, samples, model.nv, 6))
     centre = np.empty((samples, model.nbody, 3))
-    for at, (data.qpos[:], data.qvel[:]) in enumerate(zip(qpos, qvel, strict=True)):
+    for sample, (data.qpos[:], data.qvel[:]) in enumerate(zip(qpos, qvel, strict=True)):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
-        place[at], rotation[at], centre[at] = data.xpos, data.xmat, data.subtree_com
-        cdof[at], cdof_dot[at] = data.cdof, data.cdof_dot
-    moved = _moved_by(model)[bodies]
+        position[sample], rotation[sample], centre[sample] = data.xpos, data.xmat, data.subtree_com
+        cdof[sample], cdof_dot[sample] = data.cdof, data.cdof_dot
+    moved_by = _moved_by(model)[bodies]
     frame = rotation[:, bodies].reshape(samples, len(bodies), 3, 3).swapaxes(-1, -2)
     # MuJoCo's spatial vectors refer to the centre of mass of the kinematic tree and to the world's axes.
-    offset = (place - centre[:, model.body_rootid])[:, bodies]
-    axes = _seen_from(frame, offset, np.where(moved[:, :, None], cdof[:, None], 0))
+    offset = (position - centre[:, model.body_rootid])[:, bodies]
+    axes = _seen_from(frame, offset, np.where(moved_by[:, :, None], cdof[:, None], 0))
     velocity = np.einsum("tbvk,tv->tbk", axes, qvel)
     acceleration = np.einsum("tbvk,tv->tbk", axes, qacc)
-    drift = np.einsum("bv,tvk,tv->tbk", moved, cdof_dot, qvel)
+    drift = np.einsum("bv,tvk,tv->tbk", moved_by, cdof_dot, qvel)
     acceleration += _seen_from(frame, offset, drift[:, :, None])[:, :, 0]
-    spin, shift, turn = velocity[..., :3], velocity[..., 3:], acceleration[..., :3]
-    weightless = np.array(model.opt.gravity) * (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-    lift = acceleration[..., 3:] + np.cross(spin, shift) - frame @ weightless
-    return axes, spin, turn, lift
+    w, v, e = velocity[..., :3], velocity[..., 3:], acceleration[..., :3]
+    gravity = np.array(model.opt.gravity) * (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    a = acceleration[..., 3:] + np.cross(w, v) - frame @ gravity
+    return axes, w, e, a
 
 
 def _seen_from(frame: np.ndarray, offset: np.ndarray, spatial: np.ndarray) -> np.ndarray:
-    """Return spatial vectors (time, bodies, n, 6), given about the tree's centre, about body origins in body frames."""
-    turn, shift = spatial[..., :3], spatial[..., 3:]
-    shift = shift + np.cross(turn, offset[:, :, None])
-    inward = frame.swapaxes(-1, -2)
-    return np.concatenate([turn @ inward, shift @ inward], axis=-1)
+    """Transform spatial vectors (time, bodies, n, 6) from the tree's centre to body origins and body frames."""
+    angular, linear = spatial[..., :3], spatial[..., 3:]
+    linear = linear + np.cross(angular, offset[:, :, None])
+    to_body = frame.swapaxes(-1, -2)
+    return np.concatenate([angular @ to_body, linear @ to_body], axis=-1)
 
 
 def _moved_by(model: mujoco.MjModel) -> Bool[np.ndarray, "bodies nv"]:
-    """Return for each body which joints are between it and the world."""
     moved = np.zeros((model.nbody, model.nv), bool)
     for body in range(1, model.nbody):
         moved[body] = moved[model.body_parentid[body]]
-        first = model.body_dofadr[body]
-        moved[body, first : first + model.body_dofnum[body]] |= first >= 0
+        start = model.body_dofadr[body]
+        moved[body, start : start + model.body_dofnum[body]] |= start >= 0
     return moved
 
 

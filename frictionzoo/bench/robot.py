@@ -27,36 +27,27 @@ _INSIDE = 1e-3  # distance of a fit's start from its bounds, as a share of their
 class Robot(Bench):
     """Bench of a robot with a fixed base, from its model file.
 
-    The file provides the known and initial values of armature, friction, damping and actuators: a parameter whose
-    `init` is None takes the file's value. Base and unselected joints are fixed. Contacts and limits are left out by
-    default; meshes are always left out.
+    A parameter of armature, friction, damping or actuators whose `init` is None takes the file's value. Base and
+    unselected joints are fixed. Contacts and limits are left out by default; meshes are always left out. The other
+    arguments are those of `Bench`.
 
     Attributes:
         file: The robot's file as read.
-        notes: Features of the file that were left out or changed, one line each.
         choices: The arguments `base`, `contacts`, `limits` and `others`.
 
     Args:
         mjcf: Path of the MJCF or URDF.
         joint: Names of joints, or regular expressions that match whole names; None for all with one degree of freedom.
-        actuator: Actuator law, which converts commands into torque; None for the file's: a position controller for
-            position actuators, a torque command for motors.
-        params: See `Bench`. `init` of `armature` and `delay` is None by default, which takes the file's value; `high`
-            of `armature` is 10.
+        actuator: Actuator law; None for the file's: `JointPD` for position actuators, `Force` for motors.
+        params: See `Bench`. By default, `init` of `armature` and `delay` is None and `high` of `armature` is 10.
         base: `fixed` welds a floating base to the world; `as_is` refuses it.
         contacts: `leave_out` or `keep`.
         limits: `leave_out` or `keep` the limits of joints and tendons.
         others: `fixed` holds unselected joints at their reference position; `as_is` refuses them.
-        ranges: `keep` limits commands and torques to `ctrlrange`, `forcerange` and `actuatorfrcrange` of the file,
-            unless the actuator law states its limits; `leave_out` ignores them.
-        solreffriction: See `Bench`.
-        second_order: See `Bench`.
-        integrator: See `Bench`.
-        payload: See `Bench`.
+        ranges: `keep` or `leave_out` `ctrlrange`, `forcerange` and `actuatorfrcrange` of the file; limits of the
+            actuator law have precedence.
         timestep: Simulation step [s]; None for the file's.
-        inertia: See `Bench`.
-        gravity: See `Bench`.
-        tie: See `Bench`. If the file's values differ within a group, the group starts at their mean.
+        tie: See `Bench`; a group starts at the mean of the file's values.
 
     Raises:
         BenchError: The file cannot be read, or has a feature that can neither be simulated nor left out.
@@ -91,17 +82,17 @@ class Robot(Bench):
         step = None if timestep is None or timestep == AUTO else float(timestep)
         self.file: RobotFile = read_robot(mjcf, joint, **self.choices, keep=keep, timestep=step)
         sections = {**(params or {})}
-        for name, high in {"armature": {"high": self.armature_high}, "delay": {}}.items():
-            sections[name] = {"init": None, **high, **_section(sections.get(name, {}))}
+        for name, defaults in {"armature": {"high": self.armature_high}, "delay": {}}.items():
+            sections[name] = {"init": None, **defaults, **_section(sections.get(name, {}))}
         if ranges not in ("keep", "leave_out"):
             raise ConfigError(f"bench.ranges={ranges}: no such choice; {closest(str(ranges), ('keep', 'leave_out'))}")
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
         self._known = _list_known(self.file) | (_list_ranges(self.file) if ranges == "keep" else {})
         self._said: list[str] = []  # differences of initial values and ranges from the file
         actuator = self._with_ranges(actuator)
-        more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
-        more |= {"gravity": gravity, "second_order": second_order, "integrator": integrator}
-        super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **more)
+        options: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
+        options |= {"gravity": gravity, "second_order": second_order, "integrator": integrator}
+        super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **options)
         self.notes = (*self.file.notes, *dict.fromkeys(self._said))
         if limits == "leave_out":
             self.unlimited = self.file.ranges
@@ -127,118 +118,114 @@ class Robot(Bench):
         return filled
 
     def _with_ranges(self, actuator: Actuator) -> Actuator:
-        """Return the actuator law with the file's limits, except those that the law's parameters specify."""
-        stated = [name for name in (*LIMITS, *POSITIONS) if name in self._known]
-        own = actuator.params.get("torque_limit")
-        if "torque_limit" in actuator.said and (own is None or own.init is not None):
-            stated = [name for name in stated if name not in LIMITS]
-        for name in stated:
+        """Return the actuator law with the file's limits; limits in the law's parameters have precedence."""
+        limits = [name for name in (*LIMITS, *POSITIONS) if name in self._known]
+        torque_limit = actuator.params.get("torque_limit")
+        if "torque_limit" in actuator.said and (torque_limit is None or torque_limit.init is not None):
+            limits = [name for name in limits if name not in LIMITS]
+        for name in limits:
             if name not in actuator.dimensions and not isinstance(actuator, Force):  # its commands are not positions
-                said = f"{_RANGES[name]} of the file are left out: {type(actuator).__name__} has no such parameters"
-                self._said.append(said)
-        added = [name for name in stated if name in actuator.optional and name not in actuator.said]
+                note = f"{_RANGES[name]} of the file are left out: {type(actuator).__name__} has no such parameters"
+                self._said.append(note)
+        added = [name for name in limits if name in actuator.optional and name not in actuator.said]
         if not added:
             return actuator
-        other, ends = copy.copy(actuator), {"low": -LARGEST, "high": LARGEST, "scale": 1.0, "identify": False}
-        given = {name: Param(name, actuator.dimensions[name], None, **ends) for name in added}
-        other.params = {**actuator.params, **given}
+        other, section = copy.copy(actuator), {"low": -LARGEST, "high": LARGEST, "scale": 1.0, "identify": False}
+        params = {name: Param(name, actuator.dimensions[name], None, **section) for name in added}
+        other.params = {**actuator.params, **params}
         return other
 
     def _say_begun(self, param: Param) -> None:
-        """Note each initial value that differs from the file's."""
-        begun, stated = param.each("init", self.nv), self._known[param.name]
-        moved = param.each("identify", self.nv) & ~np.isclose(begun, stated, rtol=1e-9, atol=0.0)
-        for index in np.flatnonzero(moved):
+        initial, in_file = param.each("init", self.nv), self._known[param.name]
+        changed = param.each("identify", self.nv) & ~np.isclose(initial, in_file, rtol=1e-9, atol=0.0)
+        for index in np.flatnonzero(changed):
             self._said.append(
-                f"{param.name} of joint {self.joints[index]} begins at {begun[index]:.4g}, where the file has "
-                f"{stated[index]:.4g}: a fit begins within its bounds, and where joints share a value, at their mean"
+                f"{param.name} of joint {self.joints[index]} begins at {initial[index]:.4g}, where the file has "
+                f"{in_file[index]:.4g}: a fit begins within its bounds, and where joints share a value, at their mean"
             )
 
     def _begin(self, param: Param, values: Float[np.ndarray, "nv"]) -> Param:
         """Return a parameter with these initial values, averaged within groups and moved inside its bounds."""
-        bound = replace(param, init=0.0, low=-np.inf, high=np.inf, scale=1.0).for_joints(self.joints)
-        groups, own = np.array(self.groups(bound)), np.array(param.members(self.nv))
-        free = bound.each("identify", self.nv)[own]
+        unbounded = replace(param, init=0.0, low=-np.inf, high=np.inf, scale=1.0).for_joints(self.joints)
+        groups, members = np.array(self.groups(unbounded)), np.array(param.members(self.nv))
+        free = unbounded.each("identify", self.nv)[members]
         if param.name == "armature":
-            values = np.where((values > 0) | ~bound.each("identify", self.nv), values, DEFAULTS["armature"]["init"])
-        shared = values[own].astype(np.float64)
-        for group in set(groups[own][free]):  # known values do not change
-            shared[groups[own] == group] = shared[groups[own] == group].mean()
-        limits = replace(param, init=param.low).for_joints(self.joints)
-        low, high = (limits.to_coordinate(limits.each(side, self.nv)[own], np) for side in ("low", "high"))
+            values = np.where((values > 0) | ~unbounded.each("identify", self.nv), values, DEFAULTS["armature"]["init"])
+        shared = values[members].astype(np.float64)
+        for group in set(groups[members][free]):  # known values do not change
+            shared[groups[members] == group] = shared[groups[members] == group].mean()
+        bounded = replace(param, init=param.low).for_joints(self.joints)
+        low, high = (bounded.to_coordinate(bounded.each(side, self.nv)[members], np) for side in ("low", "high"))
         inside = _INSIDE * (high - low)
-        nearest = (limits.from_coordinate(end, np) for end in (low + inside, high - inside))
-        return replace(limits, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
+        nearest = (bounded.from_coordinate(end, np) for end in (low + inside, high - inside))
+        return replace(bounded, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
         """See `Bench.initial_friction`: the file's frictionloss and damping, and the bristles of its DC motors."""
-        begun = {}
+        initial = {}
         for name, param in params.items():
             values = self._say_friction(name, params)
-            said = values[param.members(self.nv)]
+            stated = values[param.members(self.nv)]
             # A fit never starts at 0. A known value is 0 if the file has none.
-            if param.is_stated or np.isnan(said).all() or (param.is_identified and not np.nan_to_num(said).any()):
+            if param.is_stated or np.isnan(stated).all() or (param.is_identified and not np.nan_to_num(stated).any()):
                 continue
             values = np.where(np.isnan(values), param.each("init", self.nv), values)
             if name.rpartition(".")[2] == "frictionloss":  # at 0 MuJoCo locks the joint
                 values = np.where(values == 0, param.each("low", self.nv), values)
-            begun[name] = self._begin(param, values).each("init", self.nv)
-        return begun
+            initial[name] = self._begin(param, values).each("init", self.nv)
+        return initial
 
     def _say_friction(self, name: str, params: Mapping[str, Param]) -> Float[np.ndarray, "nv"]:
         """Return the file's values of a friction parameter, of shape (nv,); NaN without a value."""
-        law, _, what = name.rpartition(".")  # each part of a sum of models has its prefix
-        said = {one: self.file.values[one] for one in ("frictionloss", "damping")}
+        law, _, parameter = name.rpartition(".")  # each part of a sum of models has its prefix
+        values = {key: self.file.values[key] for key in ("frictionloss", "damping")}
         if {f"{law}.{other}".lstrip(".") for other in _OF_BRISTLES} <= params.keys():
             bristles = self.file.bristles
             damping = np.where(np.isnan(bristles["stiffness"]), np.nan, self.file.values["damping"])
-            said = {**bristles, "coulomb_torque": bristles["kinetic_torque"], "viscous_coefficient": damping}
-        return said.get(what, np.full(self.nv, np.nan))
+            values = {**bristles, "coulomb_torque": bristles["kinetic_torque"], "viscous_coefficient": damping}
+        return values.get(parameter, np.full(self.nv, np.nan))
 
 
 def _section(given: Any) -> dict[str, Any]:
-    """Return a parameter's section; a plain value becomes the section of a known parameter."""
     return dict(given) if isinstance(given, Mapping) else {"init": given, "identify": False}
 
 
 def _list_known(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the file's values of bench and actuator parameters that it states for every joint."""
     known: dict[str, np.ndarray] = {"armature": file.values["armature"], "delay": file.delays}
-    read = [actuator for actuator in file.actuators if actuator is not None]
-    if len(read) == len(file.joints):
-        if all(actuator.kind == "position" for actuator in read):
-            known |= {"kp": np.array([0.0 - a.bias1 for a in read]), "kd": np.array([0.0 - a.bias2 for a in read])}
-        if all(actuator.kind == "motor" for actuator in read):
-            known["force_gain"] = np.array([actuator.gain for actuator in read])
+    actuators = [actuator for actuator in file.actuators if actuator is not None]
+    if len(actuators) == len(file.joints):
+        if all(actuator.kind == "position" for actuator in actuators):
+            known |= {
+                "kp": np.array([0.0 - a.bias1 for a in actuators]),
+                "kd": np.array([0.0 - a.bias2 for a in actuators]),
+            }
+        if all(actuator.kind == "motor" for actuator in actuators):
+            known["force_gain"] = np.array([actuator.gain for actuator in actuators])
     return known
 
 
 def _list_ranges(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Return the file's limits of torques and desired positions, if any; joints without a limit get distant ones."""
-    known: dict[str, np.ndarray] = {}
+    """Return the file's limits of torques and desired positions; a joint without a limit gets a distant one."""
+    limits: dict[str, np.ndarray] = {}
     for ranges, low, high in ((file.forceranges, "torque_low", "torque_limit"), (file.ctrlranges, *POSITIONS)):
         if not np.isnan(ranges).all():
             filled = np.where(np.isnan(ranges), [-LARGEST, LARGEST], ranges)
-            known |= {low: filled[:, 0], high: filled[:, 1]}
-    if "torque_low" in known and np.array_equal(known["torque_low"], -known["torque_limit"]):
-        del known["torque_low"]
-    return known
+            limits |= {low: filled[:, 0], high: filled[:, 1]}
+    if "torque_low" in limits and np.array_equal(limits["torque_low"], -limits["torque_limit"]):
+        del limits["torque_low"]
+    return limits
 
 
 def _read_actuator(source: str, file: RobotFile) -> Actuator:
-    """Return the actuator law of the file's actuators.
-
-    Raises:
-        BenchError: They match no law or several laws, or a joint has no actuator.
-    """
     kinds = {None if actuator is None else actuator.kind for actuator in file.actuators}
     if kinds == {"position"}:
         return JointPD(params={"kp": {"init": None}, "kd": {"init": None}})
     if kinds == {"motor"}:
         return Force(params={"force_gain": {"init": None}})
-    said = ", ".join(f"{name}: {_say(read)}" for name, read in zip(file.joints, file.actuators, strict=True))
+    listing = ", ".join(f"{name}: {_say(read)}" for name, read in zip(file.joints, file.actuators, strict=True))
     raise BenchError(
-        f"{source}: its joints do not share one actuator ({said[:200]}); set bench.actuator, which "
+        f"{source}: its joints do not share one actuator ({listing[:200]}); set bench.actuator, which "
         "turns the recorded commands into torque, such as JointPD with kp and kd, or Force for torques"
     )
 

@@ -35,21 +35,21 @@ def pair_log(log: Log, joints: Sequence[str]) -> Log:
     Raises:
         LogError: Headers name only some of the joints, a joint twice, or unknown joints.
     """
-    found = _arrange(log, joints)
-    orders = {signal: list(order) for signal, (order, _) in found.items()}
+    pairings = _arrange(log, joints)
+    orders = {signal: list(order) for signal, (order, _) in pairings.items()}
     if "qpos" in orders:
         orders.setdefault("qvel", orders["qpos"])  # estimated from qpos
     values = {
         signal: getattr(log, signal)[:, orders[signal]] for signal in ("qpos", "qvel", "ctrl") if signal in orders
     }
     extras = {name: extra[:, orders[name]] if name in orders else extra for name, extra in log.extras.items()}
-    return replace(log, **values, extras=extras, columns=reorder(log.columns, found))
+    return replace(log, **values, extras=extras, columns=reorder(log.columns, pairings))
 
 
 def _arrange(log: Log, joints: Sequence[str]) -> dict[str, Pairing]:
-    """Return the columns of each joint for the recorded signals; an estimated velocity has none."""
-    held = {"qpos", "ctrl", *log.extras, *(() if log.velocity_estimated else ("qvel",))}
-    return arrange(log.name, {signal: of for signal, of in log.columns.items() if signal in held}, joints)
+    """Return the pairing of each recorded signal's columns with the joints; an estimated velocity has none."""
+    recorded = {"qpos", "ctrl", *log.extras, *(() if log.velocity_estimated else ("qvel",))}
+    return arrange(log.name, {signal: headers for signal, headers in log.columns.items() if signal in recorded}, joints)
 
 
 def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
@@ -69,7 +69,7 @@ def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.nda
 
 
 def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
-    """Return the inputs of the friction model, see `Bench.observed`, by name.
+    """Return the inputs of the friction model by name; see `Bench.observed`.
 
     Raises:
         BenchError: An input has a wrong number of columns, or is not finite.
@@ -78,16 +78,10 @@ def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> dict[str,
 
 
 def say_lacking(dataset: Dataset, wanted: Mapping[str, float], whose: str, otherwise: str = "") -> None:
-    """Log each signal that no recording of a data set contains, and its replacement value.
-
-    Args:
-        dataset: The recordings.
-        wanted: Replacement value of each signal, by name.
-        whose: Model that uses the signals.
-        otherwise: Further advice for the error message.
+    """Log each signal in `wanted` that no recording contains, the model that uses it, and its replacement value.
 
     Raises:
-        BenchError: Only some recordings contain a signal.
+        BenchError: Only some recordings contain a signal; `otherwise` adds advice.
     """
     for name, value in wanted.items():
         having = [log.name for log in dataset.logs if name in log.extras]

@@ -26,9 +26,7 @@ _KEPT = {"mujoco", "worldbody", "body", "compiler"}
 
 
 class Template:
-    """MJCF without friction, armature or actuators at the identified joints.
-
-    The arguments are those of `Bench`; `joints` are the names of the identified joints in MuJoCo's order.
+    """MJCF without friction, armature or actuators at the identified joints; for the arguments, see `Bench`.
 
     Raises:
         BenchError: The MJCF cannot be read, lacks these joints, or has an actuator.
@@ -50,9 +48,9 @@ class Template:
     @classmethod
     def of(cls, source: str, root: ET.Element, joints: Sequence[str]) -> "Template":
         """Return a template of the MJCF `root`, already converted from the file `source`, with these joints."""
-        made = object.__new__(cls)
-        made.source, made._root, made.joints = source, root, tuple(joints)
-        return made
+        template = object.__new__(cls)
+        template.source, template._root, template.joints = source, root, tuple(joints)
+        return template
 
     @property
     def has_radians(self) -> bool:
@@ -74,10 +72,10 @@ class Template:
         for name, parameters in inertia.items():
             if name not in bodies:
                 self._fail(f"no body {name}; {closest(name, filter(None, bodies))}; set bench.inertia")
-            for old in bodies[name].findall("inertial"):
-                bodies[name].remove(old)
-            written = {key: " ".join(map(in_full, np.ravel(value))) for key, value in _inertial(name, parameters)}
-            bodies[name].insert(0, ET.Element("inertial", written))
+            for inertial in bodies[name].findall("inertial"):
+                bodies[name].remove(inertial)
+            attributes = {key: " ".join(map(in_full, np.ravel(value))) for key, value in _inertial(name, parameters)}
+            bodies[name].insert(0, ET.Element("inertial", attributes))
         return other
 
     def with_gravity(self, gravity: Sequence[float | int] | None) -> "Template":
@@ -106,14 +104,14 @@ class Template:
         """
         if integrator is None:
             return self
-        known = {name.casefold(): name for name in INTEGRATORS.values()}
-        if str(integrator).casefold() not in known:
+        names = {name.casefold(): name for name in INTEGRATORS.values()}
+        if str(integrator).casefold() not in names:
             raise ConfigError(f"bench.integrator={integrator}: {closest(str(integrator), INTEGRATORS.values())}")
         other = copy.copy(self)
         other._root = copy.deepcopy(self._root)
         _section(other._root, "option")
         for option in other._root.findall("option"):
-            option.set("integrator", known[integrator.casefold()])
+            option.set("integrator", names[integrator.casefold()])
         return other
 
     def write(
@@ -121,9 +119,9 @@ class Template:
     ) -> str:
         """Return the MJCF with comments at the top and the attributes of each identified joint and its actuator."""
         root = copy.deepcopy(self._root)
-        found = {element.get("name"): element for element in root.findall("./worldbody//joint")}
+        elements = {element.get("name"): element for element in root.findall("./worldbody//joint")}
         for name, attributes in zip(self.joints, joints, strict=True):
-            found[name].attrib.update(attributes)
+            elements[name].attrib.update(attributes)
         _section(root, "actuator").extend(ET.Element("general", dict(attributes)) for attributes in actuators)
         for position, comment in enumerate(comments):
             root.insert(position, write_comment(comment))
@@ -169,15 +167,14 @@ class Template:
             )
 
     def _refuse_other_references(self, model: mujoco.MjModel) -> None:
-        """Refuse references, limits and springs, which a position offset would not shift."""
         # For a nonlinear spring, the largest coefficient.
         springs = np.abs(np.column_stack([model.jnt_stiffness, model.jnt_stiffnesspoly])).max(axis=1)
-        given = {"ref": model.qpos0 != 0, "range": model.jnt_limited > 0, "stiffness": springs > 0}
-        for name, having in given.items():
+        features = {"ref": model.qpos0 != 0, "range": model.jnt_limited > 0, "stiffness": springs > 0}
+        for name, having in features.items():
             if having.any() or (name == "stiffness" and model.ntendon):
-                what = f"joint {self._first(having)} has {name}" if having.any() else "it has tendons"
+                feature = f"joint {self._first(having)} has {name}" if having.any() else "it has tendons"
                 self._fail(
-                    f"{what}, which bench.params.position_offset does not shift; remove it from the MJCF, or set "
+                    f"{feature}, which bench.params.position_offset does not shift; remove it from the MJCF, or set "
                     "bench.params.position_offset to identify: false and init: 0"
                 )
 
@@ -218,51 +215,48 @@ class Template:
         other._root, other.joints = copy.deepcopy(self._root), tuple(joints)
         for parent in list(other._root.iter()):
             for body in parent.findall("body"):
-                own = [joint.get("name") for joint in body.findall("joint")]
-                if own and not set(own) & set(joints):
+                names = [joint.get("name") for joint in body.findall("joint")]
+                if names and not set(names) & set(joints):
                     parent.remove(body)
         return other
 
     def simpler(self) -> Iterator[tuple[str, "Template"]]:
-        """Yield the template without one attribute or element, with a description of the removed part.
-
-        Bodies and identified joints are never removed. Positions and sizes come last.
-        """
+        """Yield the template without one attribute or element, with a description of it; see `Bench.simpler`."""
         elements = list(self._root.iter())
         attributes = [(element, name) for element in elements for name in element.attrib if name not in _NAMING]
         parts = [element for element in elements if element.tag not in _KEPT and element.get("name") not in self.joints]
-        leaving_out = [
+        removals = [
             *((element, name) for element, name in attributes if name not in _GEOMETRY),
             *((element, None) for element in parts),
             *((element, name) for element, name in attributes if name in _GEOMETRY),
         ]
-        for element, name in leaving_out:
-            what = _describe(element) if name is None else f'{name}="{element.get(name)}" of {_describe(element)}'
-            yield what, self._without(element, name)
+        for element, name in removals:
+            part = _describe(element) if name is None else f'{name}="{element.get(name)}" of {_describe(element)}'
+            yield part, self._without(element, name)
 
     def _without(self, element: ET.Element, attribute: str | None) -> "Template":
-        place = list(self._root.iter()).index(element)
+        index = list(self._root.iter()).index(element)
         other = copy.copy(self)
         other._root = copy.deepcopy(self._root)
-        found = list(other._root.iter())[place]
+        copied = list(other._root.iter())[index]
         if attribute is not None:
-            del found.attrib[attribute]
+            del copied.attrib[attribute]
         else:
-            next(parent for parent in other._root.iter() if found in list(parent)).remove(found)
+            next(parent for parent in other._root.iter() if copied in list(parent)).remove(copied)
         return other
 
     def _choose_joints(self, joint: str | int | Sequence[str | int] | None) -> tuple[str, ...]:
-        found = [element.get("name", "") for element in self._root.findall("./worldbody//joint")]
+        names = [element.get("name", "") for element in self._root.findall("./worldbody//joint")]
         if joint is None:
-            if len(found) != 1 or not found[0]:
-                listed = ", ".join(name or "(unnamed)" for name in found) or "none"
+            if len(names) != 1 or not names[0]:
+                listed = ", ".join(name or "(unnamed)" for name in names) or "none"
                 self._fail(f"joints {listed}, expected one named joint; set bench.joint")
-            return (found[0],)
+            return (names[0],)
         wanted = [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
         for name in wanted:
-            if name not in found:
-                self._fail(f"no joint {name}; {closest(name, filter(None, found))}; set bench.joint")
-        ordered = [name for name in found if name in wanted]
+            if name not in names:
+                self._fail(f"no joint {name}; {closest(name, filter(None, names))}; set bench.joint")
+        ordered = [name for name in names if name in wanted]
         if wanted != ordered:
             # The recording's columns follow bench.joint: another order would silently swap the joints.
             raise BenchError(
@@ -307,7 +301,6 @@ def _describe(element: ET.Element) -> str:
 
 
 def _inertial(name: str, parameters: Sequence[float | int]) -> Iterator[tuple[str, float | np.ndarray]]:
-    """Yield the attributes of an <inertial> for ten parameters of a body."""
     numbers = np.array(parameters, np.float64)
     if numbers.shape != (10,) or not is_consistent(numbers):
         raise BenchError(
@@ -319,8 +312,8 @@ def _inertial(name: str, parameters: Sequence[float | int]) -> Iterator[tuple[st
 
 
 def _section(root: ET.Element, tag: str) -> ET.Element:
-    found = root.find(tag)
-    return ET.SubElement(root, tag) if found is None else found
+    section = root.find(tag)
+    return ET.SubElement(root, tag) if section is None else section
 
 
 def in_full(value: float | np.floating) -> str:

@@ -17,13 +17,9 @@ _SAME = 1e-3  # largest relative change of a saturated torque when the command i
 def actuator_torque(
     bench: Bench, log: Log, values: Mapping[str, Any], qvel: Float[np.ndarray, "time nv"] | None = None
 ) -> Float[np.ndarray, "time nv"]:
-    """Return the actuators' torque at recorded states [N m or N], times `enable` if recorded.
+    """Return the actuators' torque at the states of an accepted log [N m or N], times `enable` if recorded.
 
-    Args:
-        bench: The bench.
-        log: Log accepted by the bench.
-        values: Values of the bench's parameters, each of shape (nv,); `delay` [s] delays the commands.
-        qvel: Velocities that replace the recorded ones [rad/s or m/s].
+    `values` are the bench's parameters; `delay` [s] delays the commands. `qvel` replaces the recorded velocities.
     """
     qvel, delay = log.qvel if qvel is None else qvel, values.get("delay")
     log = log if delay is None else _late(log, bench.actuator.commands, np.broadcast_to(delay, bench.nv))
@@ -36,20 +32,14 @@ def actuator_torque(
 def stall_torque(
     bench: Bench, values: Mapping[str, Any], inputs: Mapping[str, Any], qpos: Float[np.ndarray, "nv"]
 ) -> Float[np.ndarray, "nv"]:
-    """Return the largest torque of each actuator at standstill [N m or N]; infinite without a limit.
+    """Return the largest torque of each actuator at standstill at `qpos` [N m or N]; infinite without a limit.
 
-    The value is the smaller one of both directions.
-
-    Args:
-        bench: The bench.
-        values: Values of the bench's parameters, each of shape (nv,).
-        inputs: Inputs of the actuator law in addition to the command, each of shape (nv,).
-        qpos: Position [rad or m].
+    The value is the smaller one of both directions. `inputs` are the actuator law's, each of shape (nv,).
     """
-    still, affine = np.zeros(bench.nv), bench.actuator.affine(values)
+    zeros, affine = np.zeros(bench.nv), bench.actuator.affine(values)
 
     def torque(command: float) -> np.ndarray:
-        ctrl = bench.actuator.control(np, values, qpos, still, qpos + command, inputs)
+        ctrl = bench.actuator.control(np, values, qpos, zeros, qpos + command, inputs)
         return np.abs(affine.gain * ctrl + affine.bias0 + affine.bias1 * qpos)
 
     ends = [(torque(sign * _FAR), torque(2 * sign * _FAR)) for sign in (1, -1)]
@@ -61,5 +51,5 @@ def _late(log: Log, commands: tuple[str, ...], delay: Float[np.ndarray, "nv"]) -
     """Return the log with each command delayed by the delay of its joint [s], rounded up to whole samples."""
     samples = np.arange(log.samples)[:, None] - np.ceil(np.maximum(delay, 0) / log.timestep - 1e-9).astype(int)
     rows, columns = np.maximum(samples, 0), np.arange(len(delay))
-    late = {name: log.inputs[name][rows, columns] for name in commands}
-    return replace(log, ctrl=log.ctrl[rows, columns], inputs={**log.inputs, **late})
+    delayed = {name: log.inputs[name][rows, columns] for name in commands}
+    return replace(log, ctrl=log.ctrl[rows, columns], inputs={**log.inputs, **delayed})

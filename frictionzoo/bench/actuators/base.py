@@ -1,9 +1,8 @@
 """Interface of actuator laws, which convert a recorded command into torque.
 
 MuJoCo's affine actuator gives `gain * ctrl + bias0 + bias1 * qpos + bias2 * qvel`. An actuator law returns these four
-coefficients for its parameters; bias0 includes the bench's `torque_offset`. The fitted simulation and the exported MJCF
-therefore contain the same actuator. A law with a controller also transforms the command before MuJoCo's actuator
-receives it.
+coefficients; bias0 includes the bench's `torque_offset`. The fitted simulation and the exported MJCF therefore contain
+the same actuator. A controller also transforms the command before MuJoCo's actuator receives it.
 """
 
 from abc import ABC, abstractmethod
@@ -20,14 +19,7 @@ from frictionzoo.core.registry import KINDS, Registry
 
 
 class Affine(NamedTuple):
-    """Coefficients of MuJoCo's affine actuator, each of shape (nv,).
-
-    Attributes:
-        gain: Factor of `ctrl`.
-        bias0: Constant torque.
-        bias1: Factor of the position.
-        bias2: Factor of the velocity.
-    """
+    """Coefficients of MuJoCo's torque `gain * ctrl + bias0 + bias1 * qpos + bias2 * qvel`, each of shape (nv,)."""
 
     gain: Any
     bias0: Any
@@ -39,27 +31,23 @@ class Actuator(Described, ABC):
     """Base class of actuator laws.
 
     Attributes:
-        name: Set by `register_actuator`.
         dimensions: Dimension of each parameter, a key of `frictionzoo.core.params.UNITS`.
         optional: Parameters that may be omitted or known to be 0; the law then omits their effect.
         ends: Parameters among `optional` that keep their effect at 0.
         positive: Parameters whose initial value must be above 0 in each joint, with advice for the error message.
         defaults: Default section of parameters.
-        inputs: Signals that the controller needs in each sample in addition to `ctrl`; recordings have them in
-            `extras`.
+        inputs: Signals that the controller needs in addition to `ctrl`, from `Log.extras`.
         optional_inputs: Default values of the inputs that a recording may lack.
         commands: Inputs that are commands; the delay of `ctrl` applies to them too.
         params: Value or initial value, bounds and scale of each parameter.
-        said: Names of the parameters in the arguments, including those dropped because they are 0.
+        said: Names of the parameters in the arguments, also of those dropped because they are 0.
 
     Args:
         params: Section of each parameter: `init`, `low`, `high`, `scale`, `identify`.
-        values: Known parameters by name, instead of their sections: `PositionPD(kp=15, kd=0.5)`; a list has one value
-            per joint.
+        values: Known parameters by name: `PositionPD(kp=15, kd=0.5)`; a list has one value per joint.
 
     Raises:
-        ConfigError: A parameter is missing, unknown, given twice or not positive as required, or its bounds are
-            invalid.
+        ConfigError: A parameter is missing, unknown, given twice or not positive, or its bounds are invalid.
     """
 
     name: ClassVar[str]
@@ -76,11 +64,11 @@ class Actuator(Described, ABC):
         owner, sections = type(self).__name__, dict(params or {})
         for name in sections.keys() & values.keys():
             raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")
-        given = {**sections, **values}
+        arguments = {**sections, **values}
         self.params: dict[str, Param] = read_params(
-            owner, self.dimensions, given, self.optional, self.defaults, self.ends
+            owner, self.dimensions, arguments, self.optional, self.defaults, self.ends
         )
-        self.said: frozenset[str] = frozenset(given)
+        self.said: frozenset[str] = frozenset(arguments)
         for name, advice in self.positive.items():
             init: Any = self.params[name].init if name in self.params else None
             if init is not None and not np.all(np.array([*init.values()] if isinstance(init, Mapping) else init) > 0):
@@ -94,41 +82,25 @@ class Actuator(Described, ABC):
 
     @property
     def needs_state(self) -> bool:
-        """Whether a program must compute the `ctrl` of MuJoCo's actuator from the state in each step.
-
-        Otherwise `combine` returns this `ctrl` and `force_range` the limits of the torque.
-        """
+        """Whether `ctrl` of MuJoCo's actuator depends on the state in each step; if not, `combine` returns it."""
         return self.has_controller
 
     @abstractmethod
     def affine(self, values: Mapping[str, Any]) -> Affine:
-        """Return MuJoCo's coefficients for these parameter values, each of shape (nv,).
-
-        Args:
-            values: Value of each parameter, and the bench's `torque_offset` [N m or N] if it has one; bias0 includes
-                it.
-        """
+        """Return MuJoCo's coefficients for parameter values, with the bench's `torque_offset` [N m or N] if any."""
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
     ) -> Any:
-        """Return the `ctrl` that the controller passes to MuJoCo's actuator in one simulation step, of shape (..., nv).
+        """Return the `ctrl` that MuJoCo's actuator receives in one simulation step, of shape (..., nv).
 
-        Args:
-            xp: Array namespace, `numpy`, `jax.numpy` or `torch`.
-            values: Value of each parameter.
-            qpos: Position [rad or m].
-            qvel: Velocity [rad/s or m/s].
-            command: Recorded `ctrl`.
-            inputs: Signals by the names in `inputs`.
+        `xp` is `numpy`, `jax.numpy` or `torch`, `command` the recorded `ctrl`, and `inputs` has the signals named in
+        `inputs`. Positions are in rad or m, velocities in rad/s or m/s.
         """
         return command
 
     def combine(self, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
-        """Return the single command of a MuJoCo actuator that is equivalent to all recorded commands.
-
-        The arguments are those of `control`. Not applicable to a law that `needs_state`.
-        """
+        """Return one MuJoCo command equivalent to all recorded commands, for a law that needs no state."""
         return command
 
     def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:

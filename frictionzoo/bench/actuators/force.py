@@ -46,9 +46,9 @@ class Force(Actuator):
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
     ) -> Any:
         """See `Actuator.control`."""
-        wanted = values["force_gain"] * command + values["force_offset"]
-        given = saturate(xp, values, wanted)
-        return command if given is wanted else command + (given - wanted) / values["force_gain"]
+        requested = values["force_gain"] * command + values["force_offset"]
+        limited = saturate(xp, values, requested)
+        return command if limited is requested else command + (limited - requested) / values["force_gain"]
 
     def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
         """See `Actuator.force_range`."""

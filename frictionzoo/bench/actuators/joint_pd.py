@@ -76,10 +76,10 @@ class JointPD(Actuator):
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
     ) -> Any:
         """See `Actuator.control`."""
-        aim = aim_at(xp, values, command, inputs)
-        wanted = values["kp"] * (aim - qpos) - values["kd"] * qvel
-        given = saturate(xp, values, wanted)
-        return aim if given is wanted else aim + (given - wanted) / values["kp"]
+        target = aim_at(xp, values, command, inputs)
+        requested = values["kp"] * (target - qpos) - values["kd"] * qvel
+        limited = saturate(xp, values, requested)
+        return target if limited is requested else target + (limited - requested) / values["kp"]
 
     def combine(self, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
         """See `Actuator.combine`."""

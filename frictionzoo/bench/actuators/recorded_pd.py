@@ -14,8 +14,8 @@ class RecordedPD(Actuator):
 
         torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
 
-    with recorded kp [N m/rad or N/m] and kd [N m s/rad or N s/m]; the other symbols are those of `JointPD`. The command
-    of MuJoCo's actuator is sat(...), and its gain is torque_gain.
+    with recorded kp [N m/rad or N/m] and kd [N m s/rad or N s/m]; other symbols as in `JointPD`. The command of
+    MuJoCo's actuator is sat(...), and its gain is torque_gain.
 
     Source: See `JointPD`.
     """

@@ -13,7 +13,7 @@ POSITIVE: Mapping[str, str] = dict.fromkeys(
     ("torque_limit", "torque_saturation"),
     "leave it out where there is none, give a joint without one more than it ever needs",
 )
-"""Advice for a limit that is 0 in some joint, which would have no torque."""
+"""Advice for a limit of 0, at which a joint would have no torque."""
 
 POSITIONS: Mapping[str, str] = {"ctrl_low": "position", "ctrl_high": "position"}
 """Dimension of the limits of desired positions; laws with desired positions list them in `optional`."""
@@ -23,19 +23,14 @@ ENDS = ("torque_low", *POSITIONS)
 
 
 def saturate(xp: Any, values: Mapping[str, Any], torque: Any) -> Any:
-    """Return a torque within the limits; without limits, the same object.
+    """Return a torque [N m or N] within the limits; without limits, the same object.
 
         kappa tanh(torque / kappa), kappa = torque_saturation;  then clip(., torque_low, torque_limit)
 
-    The hyperbolic tangent represents a motor with magnetic saturation, whose torque falls below the request gradually.
+    The hyperbolic tangent represents magnetic saturation. All limits are optional; `torque_low` defaults to
+    -`torque_limit`.
 
     Source: arXiv 2505.14266, 2025, for the hyperbolic tangent.
-
-    Args:
-        xp: Array namespace.
-        values: Parameters of the actuator law; `torque_limit`, `torque_low` and `torque_saturation` [N m or N] are
-            optional. Without `torque_low` the lower limit is -`torque_limit`.
-        torque: Requested torque [N m or N].
     """
     if "torque_saturation" in values:
         torque = values["torque_saturation"] * xp.tanh(torque / values["torque_saturation"])
@@ -52,12 +47,7 @@ def beyond_mujoco(params: Container[str]) -> bool:
 
 
 def force_range(values: Mapping[str, Any], gain: Any = 1.0) -> Float[np.ndarray, "nv 2"] | None:
-    """Return the range of an actuator's torque [N m or N] for MuJoCo; None without `torque_limit`.
-
-    Args:
-        values: As in `saturate`, with the bench's `torque_offset` [N m or N] if it has one.
-        gain: Factor of the limited torque, of shape (nv,).
-    """
+    """Return MuJoCo's torque range [N m or N], times `gain`, plus any `torque_offset`; None without `torque_limit`."""
     if "torque_limit" not in values:
         return None
     high = values["torque_limit"]

@@ -14,9 +14,9 @@ class VoltageServo(Actuator):
         torque = kt_over_r duty supply - kt2_over_r qvel, and 0 while the motor is not enabled
 
     with the firmware's proportional gain `gain` [1], the duty cycle `duty_gain` [1/rad] per radian of error at a gain
-    of one, and the measured `supply` [V]. The torque constant kt and the resistance R are not identifiable separately
-    from positions and velocities, only kt_over_r [N m/V] and the back-EMF damping kt2_over_r [N m s/rad]. The command
-    of MuJoCo's actuator is the voltage.
+    of one, and the measured `supply` [V]. From positions and velocities the torque constant kt and the resistance R are
+    not identifiable separately, only kt_over_r [N m/V] and the back-EMF damping kt2_over_r [N m s/rad]. The command of
+    MuJoCo's actuator is the voltage.
 
     Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
     actuators", 2024, section II.

@@ -7,13 +7,7 @@ import numpy as np
 
 
 class Command(NamedTuple):
-    """Relation of a recorded signal to a command of the file's actuators: signal = factor * command.
-
-    Attributes:
-        index: Index in `MjData.ctrl` of the file.
-        signal: `ctrl`, `ctrl_velocity` or `ctrl_torque`.
-        factor: Factor in joint space, including the gear.
-    """
+    """Recorded `signal` (`ctrl`, `ctrl_velocity` or `ctrl_torque`) = `factor`, with gear, * `MjData.ctrl[index]`."""
 
     index: int
     signal: str
@@ -26,13 +20,8 @@ class ReadActuator:
 
     Attributes:
         name: Name in the file, or its number; all names if several actuators form one controller.
-        kind: `motor`, `position` (with or without velocity and torque commands), `velocity` or `general`, determined by
-            its coefficients.
+        kind: `motor`, `position` (with or without velocity and torque commands), `velocity` or `general`.
         gain: Factor of the first command, including the gear.
-        bias0: Constant torque [N m or N].
-        bias1: Factor of the position.
-        bias2: Factor of the velocity.
-        gear: Gear in the file.
         ctrlrange: Range of the first command, in the command's unit; NaN without a range.
         forcerange: Torque range at the joint [N m or N]; NaN without a range.
         delay: Delay of the commands in MuJoCo's steps [s].

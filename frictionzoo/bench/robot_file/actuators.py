@@ -43,13 +43,12 @@ def read_friction(source: Source, joints: Sequence[int]) -> dict[str, Float[np.n
     """Return the bristle friction of each joint, by the parameter names of `lugre`; NaN if the file has none."""
     model, motors = source.model, dict[int, list[int]]()
     for joint in joints:
-        found = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
-        motors[joint] = [index for index in found if model.actuator_gear[index, 0] and not _is_disabled(model, index)]
+        indices = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
+        motors[joint] = [index for index in indices if model.actuator_gear[index, 0] and not _is_disabled(model, index)]
     return read_bristles(source, motors)
 
 
 def _list_at(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the indices of the actuators that act at a joint."""
     at_joint = np.isin(model.actuator_trntype, list(_AT_JOINT)) & (model.actuator_trnid[:, 0] == joint)
     return [int(index) for index in np.flatnonzero(at_joint)]
 
@@ -68,32 +67,32 @@ def read_armature(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "n
 def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv"]:
     """Return the damping of each joint, including its actuators' [N m s/rad or N s/m]; nonlinear damping is noted."""
     model = source.model
-    bent = [j for j in joints if model.dof_dampingpoly[source.dof(j)].any()]
-    bent += [j for j in joints if model.actuator_dampingpoly[_list_at(model, j)].any()]
-    if bent:
-        names = listed([model.joint(joint).name for joint in bent])
+    nonlinear = [j for j in joints if model.dof_dampingpoly[source.dof(j)].any()]
+    nonlinear += [j for j in joints if model.actuator_dampingpoly[_list_at(model, j)].any()]
+    if nonlinear:
+        names = listed([model.joint(joint).name for joint in nonlinear])
         source.notes.append(f"nonlinear damping of joint {names}: only the coefficient of qvel is kept")
-    own = [model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints]
-    return np.array(own) + [sum(map(partial(read_back_emf, model), _list_windings(model, joint))) for joint in joints]
+    damping = [model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints]
+    return np.array(damping) + [
+        sum(map(partial(read_back_emf, model), _list_windings(model, joint))) for joint in joints
+    ]
 
 
 def _list_windings(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the DC motors of a joint whose back-EMF acts as damping."""
     motors = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
     return [index for index in motors if _why_not(model, index) is None]
 
 
 def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> float:
-    """Return the armature or damping of a joint's actuators, reflected through their gears."""
     return float(sum(model.actuator_gear[index, 0] ** 2 * ofactuators[index] for index in _list_at(model, joint)))
 
 
 def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
     model = source.model
-    for kind, words in _ACTING.items():
+    for kind, description in _ACTING.items():
         names = [_name(model, index) for index in range(model.nactuator) if int(model.actuator_trntype[index]) == kind]
         if names:
-            yield f"left out: {len(names)} actuators that act by {words}, {listed(names)}"
+            yield f"left out: {len(names)} actuators that act by {description}, {listed(names)}"
     elsewhere = [
         _name(model, index)
         for index in range(model.nactuator)
@@ -139,8 +138,8 @@ def _why_not(model: mujoco.MjModel, index: int) -> str | None:
         return f"its activation ({_said(mujoco.mjtDyn(dynamics))}) is not an instantaneous response to commands"
     gain, bias = mujoco.mjtGain(model.actuator_gaintype[index]), mujoco.mjtBias(model.actuator_biastype[index])
     if gain == mujoco.mjtGain.mjGAIN_PID:
-        of_position = int(model.actuator_ctrlspec[index]) & mujoco.mjtCtrlInput.mjINPUT_POS
-        return None if of_position else "its commands have no position; it is held at 0"
+        has_position = int(model.actuator_ctrlspec[index]) & mujoco.mjtCtrlInput.mjINPUT_POS
+        return None if has_position else "its commands have no position; it is held at 0"
     affine = gain == mujoco.mjtGain.mjGAIN_AFFINE and not model.actuator_gainprm[index, 1:3].any()
     if gain != mujoco.mjtGain.mjGAIN_FIXED and not affine:
         return f"its gain ({_said(gain)}) is not constant"
@@ -186,20 +185,18 @@ def _kind(gain: float, bias0: float, bias1: float, bias2: float) -> str:
 
 
 def _commands(model: mujoco.MjModel, index: int, kind: str) -> Iterator[Command]:
-    """Yield the recorded signal of each command of an actuator."""
     first, gear = int(model.actuator_ctrladr[index]), float(model.actuator_gear[index, 0])
     yield Command(first, "ctrl", 1 / gear if kind == "position" and gear else 1.0)
     if model.actuator_gaintype[index] != mujoco.mjtGain.mjGAIN_PID:
         return
-    more = {mujoco.mjtCtrlInput.mjINPUT_VEL: ("ctrl_velocity", 1 / gear if gear else 1.0)}
-    more |= {mujoco.mjtCtrlInput.mjINPUT_FF: ("ctrl_torque", gear)}
-    having = [said for bit, said in more.items() if int(model.actuator_ctrlspec[index]) & bit]
-    for place, (signal, factor) in enumerate(having, first + 1):
-        yield Command(place, signal, factor)
+    inputs = {mujoco.mjtCtrlInput.mjINPUT_VEL: ("ctrl_velocity", 1 / gear if gear else 1.0)}
+    inputs |= {mujoco.mjtCtrlInput.mjINPUT_FF: ("ctrl_torque", gear)}
+    signals = [pair for bit, pair in inputs.items() if int(model.actuator_ctrlspec[index]) & bit]
+    for ctrl, (signal, factor) in enumerate(signals, first + 1):
+        yield Command(ctrl, signal, factor)
 
 
 def _say_ranges(model: mujoco.MjModel, index: int, commands: Sequence[Command]) -> Iterator[str]:
-    """Yield a note on the ranges of later commands; only the first command's range is read."""
     signals = [command.signal for command in commands[1:] if not np.isnan(_ctrlrange(model, command.index)).all()]
     if signals:
         yield f"ranges of {listed(signals)} of actuator {_name(model, index)} are left out"
@@ -211,25 +208,22 @@ def _ctrlrange(model: mujoco.MjModel, ctrl: int) -> tuple[float, float]:
 
 
 def _delay(source: Source, index: int) -> float:
-    """Return the delay of commands in MuJoCo's steps [s] and note a difference from the file's value.
-
-    MuJoCo holds commands between steps or interpolates them.
-    """
+    """Return the effective delay of commands in MuJoCo's steps [s]; note differences from the file."""
     model = source.model
-    stated, step = float(model.actuator_delay[index]), float(model.opt.timestep)
-    if stated == 0:
+    delay, step = float(model.actuator_delay[index]), float(model.opt.timestep)
+    if delay == 0:
         return _lag(model, index)
     samples, interpolation = map(int, model.actuator_history[index])
-    steps = max(stated / step, 1.0) if interpolation else float(np.ceil(stated / step - _ROUNDING))
-    acting = min(steps, samples) * step
-    if abs(acting - stated) > _ROUNDING * step:
+    steps = max(delay / step, 1.0) if interpolation else float(np.ceil(delay / step - _ROUNDING))
+    effective = min(steps, samples) * step
+    if abs(effective - delay) > _ROUNDING * step:
         source.notes.append(
-            f"delay of actuator {_name(model, index)}, {stated:g} s: {acting:g} s, as it acts in MuJoCo's steps of "
+            f"delay of actuator {_name(model, index)}, {delay:g} s: {effective:g} s, as it acts in MuJoCo's steps of "
             f"{step:g} s with nsample={samples}"
         )
     if interpolation > 1 and steps % 1 > _ROUNDING:
         source.notes.append(f"delay of actuator {_name(model, index)}: interpolated linearly, not by a cubic")
-    return acting
+    return effective
 
 
 def _lag(model: mujoco.MjModel, index: int) -> float:
@@ -246,13 +240,13 @@ def _range(ends: np.ndarray, limited: bool) -> tuple[float, float]:
 
 def _say_commands(source: Source, joints: Sequence[int], read: Sequence[ReadActuator | None]) -> Iterator[str]:
     """Yield a note for each recorded signal that differs from the file's command by a factor."""
-    found: dict[str, list[str]] = {}
+    joints_of: dict[str, list[str]] = {}
     for joint, actuator in zip(joints, read, strict=True):
-        others = [one for one in (actuator.commands if actuator else ()) if one.factor != 1]
-        for place, signal, factor in others:
-            text = f"{signal} is {factor:.6g} times the file's ctrl[{place}]"
-            found.setdefault(text, []).append(source.model.joint(joint).name)
-    for text, names in found.items():
+        scaled = [command for command in (actuator.commands if actuator else ()) if command.factor != 1]
+        for ctrl, signal, factor in scaled:
+            text = f"{signal} is {factor:.6g} times the file's ctrl[{ctrl}]"
+            joints_of.setdefault(text, []).append(source.model.joint(joint).name)
+    for text, names in joints_of.items():
         yield f"command of joint {listed(names)}: {text}"
 
 

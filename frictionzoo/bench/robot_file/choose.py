@@ -37,13 +37,13 @@ def choose_joints(source: Source, joint: str | int | Sequence[str | int] | None)
         )
     for name in wanted:
         if name not in names and not _matching(name, names):
-            found = [index for index in kinds if source.model.joint(index).name == name]
-            what = (
-                f"joint {name} is a {kinds[found[0]]} joint, expected a hinge or a slide"
-                if found
+            indices = [index for index in kinds if source.model.joint(index).name == name]
+            problem = (
+                f"joint {name} is a {kinds[indices[0]]} joint, expected a hinge or a slide"
+                if indices
                 else f"no joint {name}"
             )
-            source.fail(f"{what}; {closest(name, filter(None, names))}; set bench.joint")
+            source.fail(f"{problem}; {closest(name, filter(None, names))}; set bench.joint")
     exact = [name for name in wanted if name in names]
     ordered = [name for name in names if name in exact]
     if exact != ordered:
@@ -68,9 +68,9 @@ def say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> 
     Raises:
         BenchError: A joint would be fixed, and `base` or `others` is `as_is`.
     """
-    model, left = source.model, [index for index in range(source.model.njnt) if index not in joints]
-    bases = [index for index in left if _KINDS[int(model.jnt_type[index])] == "free"]
-    rest = [index for index in left if index not in bases]
+    model, fixed = source.model, [index for index in range(source.model.njnt) if index not in joints]
+    bases = [index for index in fixed if _KINDS[int(model.jnt_type[index])] == "free"]
+    unchosen = [index for index in fixed if index not in bases]
     if bases:
         bodies = listed([source.name(int(model.jnt_bodyid[index])) for index in bases])
         if base == "as_is":
@@ -78,12 +78,14 @@ def say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> 
                 f"bench.base=as_is: body {bodies} floats, and nothing holds it in rollouts; set bench.base=fixed"
             )
         source.notes.append(f"floating base: body {bodies} is fixed in its position and orientation from the file")
-    if rest:
-        named = listed([model.joint(index).name or f"number {index}" for index in rest])
+    if unchosen:
+        names = listed([model.joint(index).name or f"number {index}" for index in unchosen])
         if others == "as_is":
             source.fail(
-                f"bench.others=as_is: {len(rest)} joints are not chosen ({named}); choose them or set it to fixed"
+                f"bench.others=as_is: {len(unchosen)} joints are not chosen ({names}); choose them or set it to fixed"
             )
-        balls = sum(_KINDS[int(model.jnt_type[index])] == "ball" for index in rest)
+        balls = sum(_KINDS[int(model.jnt_type[index])] == "ball" for index in unchosen)
         which = f", {balls} of them ball joints," if balls else ""
-        source.notes.append(f"{len(rest)} joints are not chosen{which} and stand at their reference position: {named}")
+        source.notes.append(
+            f"{len(unchosen)} joints are not chosen{which} and stand at their reference position: {names}"
+        )

@@ -16,25 +16,25 @@ _SAME = 1e-9  # largest difference of a torque, relative to its largest term
 
 
 def combine(source: Source, joint: str, read: Sequence[ReadActuator]) -> ReadActuator | None:
-    """Return the controller that a joint's actuators form, or else the first actuator; noted. None without one."""
+    """Return the controller that a joint's actuators form, or else the first actuator; None without actuators."""
     if len(read) < 2:
         return read[0] if read else None
     names = [actuator.name for actuator in read]
     parts = {actuator.kind: actuator for actuator in read}
-    plain = len(parts) == len(read) and all(len(actuator.commands) == 1 for actuator in read)
-    if not plain or not {"position"} <= parts.keys() <= {"position", "velocity", "motor"}:
+    is_simple = len(parts) == len(read) and all(len(actuator.commands) == 1 for actuator in read)
+    if not is_simple or not {"position"} <= parts.keys() <= {"position", "velocity", "motor"}:
         source.notes.append(
             f"joint {joint} has {len(read)} actuators: {names[0]} is read, and {listed(names[1:])} left out"
         )
         return read[0]
     source.notes.append(f"joint {joint}: actuators {listed(names)} are one controller of position, velocity and torque")
     if len({actuator.delay for actuator in read}) > 1:
-        late = parts["position"].delay
-        source.notes.append(f"delays of actuators {listed(names)} differ: all of their commands are {late:g} s late")
+        delay = parts["position"].delay
+        source.notes.append(f"delays of actuators {listed(names)} differ: all of their commands are {delay:g} s late")
     limited = [
-        one.name
-        for one in read
-        if not np.isnan(one.forcerange).all() or (one.kind != "position" and not np.isnan(one.ctrlrange).all())
+        part.name
+        for part in read
+        if not np.isnan(part.forcerange).all() or (part.kind != "position" and not np.isnan(part.ctrlrange).all())
     ]
     if limited:
         source.notes.append(
@@ -53,8 +53,8 @@ def _together(parts: Mapping[str, ReadActuator], name: str) -> ReadActuator:
         commands.append(Command(velocity.commands[0].index, "ctrl_velocity", factor))
     if motor is not None:
         commands.append(Command(motor.commands[0].index, "ctrl_torque", motor.gain))
-    no_end = np.nan, np.nan
-    return replace(position, name=name, bias2=damping, forcerange=no_end, commands=tuple(commands))
+    no_range = np.nan, np.nan
+    return replace(position, name=name, bias2=damping, forcerange=no_range, commands=tuple(commands))
 
 
 def without_others(
@@ -71,18 +71,18 @@ def without_others(
     worst = np.zeros(len(joints))
     for _ in range(_STATES):
         _draw(model, data, rng)
-        for place, (joint, actuator) in enumerate(zip(joints, read, strict=True)):
+        for index, (joint, actuator) in enumerate(zip(joints, read, strict=True)):
             if actuator is not None:
-                worst[place] = max(worst[place], _compare(model, data, joint, actuator))
+                worst[index] = max(worst[index], _compare(model, data, joint, actuator))
     kept = list(read)
-    for place in np.flatnonzero(worst > _SAME).tolist():
-        actuator = read[place]
+    for index in np.flatnonzero(worst > _SAME).tolist():
+        actuator = read[index]
         assert actuator is not None
         source.notes.append(
-            f"actuator {actuator.name} of joint {model.joint(joints[place]).name} is left out: its torque in MuJoCo "
+            f"actuator {actuator.name} of joint {model.joint(joints[index]).name} is left out: its torque in MuJoCo "
             "differs from its coefficients"
         )
-        kept[place] = None
+        kept[index] = None
     return tuple(kept)
 
 
@@ -104,35 +104,35 @@ def _owners(model: mujoco.MjModel, actuator: ReadActuator) -> list[int]:
 def _draw(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
     """Draw a random state and commands beyond their ranges, with filters in steady state."""
     data.qvel[:], data.qpos[:] = rng.normal(0, 3, model.nv), model.qpos0
-    straight = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
-    data.qpos[model.jnt_qposadr[straight]] = rng.uniform(-2, 2, straight.sum())
+    scalar = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
+    data.qpos[model.jnt_qposadr[scalar]] = rng.uniform(-2, 2, scalar.sum())
     low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [[-3.0, 3.0]]).T
     data.ctrl[:] = (low + high) / 2 + (high - low) * rng.uniform(-1, 1, model.nu)
     for index in np.flatnonzero((model.actuator_actnum == 1) & (model.actuator_ctrlnum > 0)):
         clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-        place = model.actuator_ctrladr[index]
-        ends = (low[place], high[place]) if clamps and model.actuator_ctrllimited[place] else (np.nan, np.nan)
-        data.act[model.actuator_actadr[index]] = _within(data.ctrl[place], ends)
+        ctrl = model.actuator_ctrladr[index]
+        ends = (low[ctrl], high[ctrl]) if clamps and model.actuator_ctrllimited[ctrl] else (np.nan, np.nan)
+        data.act[model.actuator_actadr[index]] = _within(data.ctrl[ctrl], ends)
     for stage in (mujoco.mj_fwdPosition, mujoco.mj_fwdVelocity, mujoco.mj_fwdActuation):
         stage(model, data)
 
 
 def _compare(model: mujoco.MjModel, data: mujoco.MjData, joint: int, actuator: ReadActuator) -> float:
-    """Return the difference from MuJoCo C's torque, relative to its largest term or to 1 N m or N if that is larger."""
+    """Return the difference from MuJoCo C's torque, relative to the largest term, but at least to 1 N m or N."""
     owners = _owners(model, actuator)
     if any(is_dc_motor(model, index) for index in owners):
         return 0.0  # its friction and back-EMF count as the joint's
-    place = int(model.jnt_dofadr[joint])
-    parts = [actuator.bias0, actuator.bias1 * data.qpos[model.jnt_qposadr[joint]], actuator.bias2 * data.qvel[place]]
+    dof = int(model.jnt_dofadr[joint])
+    parts = [actuator.bias0, actuator.bias1 * data.qpos[model.jnt_qposadr[joint]], actuator.bias2 * data.qvel[dof]]
     for number, command in enumerate(actuator.commands):
         gain = {"ctrl": actuator.gain, "ctrl_velocity": -actuator.bias2 * command.factor}.get(
             command.signal, command.factor
         )
-        given = data.ctrl[command.index]
-        parts.append(gain * (_within(given, actuator.ctrlrange) if number == 0 else given))
-    theirs = float(np.dot(model.actuator_gear[owners, 0], data.actuator_force[model.actuator_outadr[owners]]))
-    ours = _within(sum(parts), actuator.forcerange)
-    return abs(ours - theirs) / max(1.0, float(np.abs(parts).max()))
+        ctrl = data.ctrl[command.index]
+        parts.append(gain * (_within(ctrl, actuator.ctrlrange) if number == 0 else ctrl))
+    expected = float(np.dot(model.actuator_gear[owners, 0], data.actuator_force[model.actuator_outadr[owners]]))
+    torque = _within(sum(parts), actuator.forcerange)
+    return abs(torque - expected) / max(1.0, float(np.abs(parts).max()))
 
 
 def _within(value: float, ends: tuple[float, float]) -> float:

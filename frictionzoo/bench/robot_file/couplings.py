@@ -51,9 +51,11 @@ def _ties(source: Source, tree: Tree, joints: Sequence[int], index: int) -> bool
 def _joint_equality(source: Source, joints: Sequence[int], index: int) -> ET.Element:
     model, name = source.model, source.model.equality(index).name or f"number {index}"
     if _EQ(model.eq_type[index]) != _EQ.mjEQ_JOINT:
-        first = model.eq_type[index] == _EQ.mjEQ_TENDON
-        what = "ties tendons of chosen joints" if first else "closes a loop of bodies, or pulls at one from outside"
-        source.fail(f"equality constraint {name} {what}, which is not supported; choose joints outside of it")
+        is_tendon = model.eq_type[index] == _EQ.mjEQ_TENDON
+        problem = (
+            "ties tendons of chosen joints" if is_tendon else "closes a loop of bodies, or pulls at one from outside"
+        )
+        source.fail(f"equality constraint {name} {problem}, which is not supported; choose joints outside of it")
     ends = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if not all(joint in joints for joint in ends):
         names = [model.joint(joint).name if joint >= 0 else "a constant" for joint in ends]
@@ -61,9 +63,9 @@ def _joint_equality(source: Source, joints: Sequence[int], index: int) -> ET.Ele
             f"equality constraint {name} ties joint {names[0]} to {names[1]} (mimic in a URDF), of which only one is "
             "chosen; choose both or neither in bench.joint"
         )
-    said = {"polycoef": model.eq_data[index, :5], "solref": model.eq_solref[index], "solimp": model.eq_solimp[index]}
+    values = {"polycoef": model.eq_data[index, :5], "solref": model.eq_solref[index], "solimp": model.eq_solimp[index]}
     names = {f"joint{end + 1}": model.joint(joint).name for end, joint in enumerate(ends)}
-    return ET.Element("joint", names | {key: numbers(value) for key, value in said.items()})
+    return ET.Element("joint", names | {key: numbers(value) for key, value in values.items()})
 
 
 def add_tendons(source: Source, tree: Tree, joints: Sequence[int], root: ET.Element, limits: bool) -> None:
@@ -107,33 +109,33 @@ def _spans(source: Source, joints: Sequence[int], tree: Tree, tendon: int) -> bo
     if _is_fixed(model, tendon):
         return any(joint in joints and factor for _, joint, factor in _wraps(model, tendon))
     geoms = {_WRAP.mjWRAP_SPHERE, _WRAP.mjWRAP_CYLINDER}
-    bodies = [int(model.site_bodyid[at]) for kind, at, _ in _wraps(model, tendon) if kind == _WRAP.mjWRAP_SITE]
-    bodies += [int(model.geom_bodyid[at]) for kind, at, _ in _wraps(model, tendon) if kind in geoms]
+    bodies = [int(model.site_bodyid[index]) for kind, index, _ in _wraps(model, tendon) if kind == _WRAP.mjWRAP_SITE]
+    bodies += [int(model.geom_bodyid[index]) for kind, index, _ in _wraps(model, tendon) if kind in geoms]
     return any(not tree.together(body, bodies[0]) for body in bodies)
 
 
 def _acts(model: mujoco.MjModel, tendon: int, limits: bool) -> bool:
     """Return whether a tendon exerts a force without an actuator."""
-    own = ("stiffness", "damping", "frictionloss", "armature", "stiffnesspoly", "dampingpoly")
+    fields = ("stiffness", "damping", "frictionloss", "armature", "stiffnesspoly", "dampingpoly")
     limited = limits and model.tendon_limited[tendon]
-    return bool(limited or any(np.any(getattr(model, f"tendon_{name}")[tendon]) for name in own))
+    return bool(limited or any(np.any(getattr(model, f"tendon_{name}")[tendon]) for name in fields))
 
 
 def _fixed(model: mujoco.MjModel, joints: Sequence[int], tendon: int, limits: bool) -> ET.Element:
     """Return a fixed tendon; unselected joints contribute a constant to its length."""
     path = [(joint, factor) for _, joint, factor in _wraps(model, tendon)]
     constant = sum(factor * model.qpos0[model.jnt_qposadr[joint]] for joint, factor in path if joint not in joints)
-    said = {
+    values = {
         name: getattr(model, f"tendon_{name}")[tendon] for name in ("stiffness", "damping", "frictionloss", "armature")
     }
-    said["springlength"] = model.tendon_lengthspring[tendon] - constant
-    said |= {"solreffriction": model.tendon_solref_fri[tendon], "solimpfriction": model.tendon_solimp_fri[tendon]}
+    values["springlength"] = model.tendon_lengthspring[tendon] - constant
+    values |= {"solreffriction": model.tendon_solref_fri[tendon], "solimpfriction": model.tendon_solimp_fri[tendon]}
     attributes = {"name": model.tendon(tendon).name} if model.tendon(tendon).name else {}
     if limits and model.tendon_limited[tendon]:
-        said |= {"range": model.tendon_range[tendon] - constant, "margin": model.tendon_margin[tendon]}
-        said |= {"solreflimit": model.tendon_solref_lim[tendon], "solimplimit": model.tendon_solimp_lim[tendon]}
+        values |= {"range": model.tendon_range[tendon] - constant, "margin": model.tendon_margin[tendon]}
+        values |= {"solreflimit": model.tendon_solref_lim[tendon], "solimplimit": model.tendon_solimp_lim[tendon]}
         attributes["limited"] = "true"
-    element = ET.Element("fixed", attributes | {name: numbers(value) for name, value in said.items()})
+    element = ET.Element("fixed", attributes | {name: numbers(value) for name, value in values.items()})
     for joint, factor in path:
         if joint in joints:
             ET.SubElement(element, "joint", {"joint": model.joint(joint).name, "coef": numbers(factor)})

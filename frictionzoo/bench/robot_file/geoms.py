@@ -22,12 +22,7 @@ _SAID = ("condim", "contype", "conaffinity", "priority", "friction", "solmix", "
 
 
 def add_contacts(source: Source, root: ET.Element) -> None:
-    """Add the primitive geoms that can touch to a template without fused bodies.
-
-    Args:
-        source: The robot's file.
-        root: The template, with a `<worldbody>`; modified in place.
-    """
+    """Add the primitive geoms that can touch to a template without fused bodies, in place."""
     model = source.model
     bodies = [root.find("worldbody"), *root.iterfind("./worldbody//body")]
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
@@ -44,17 +39,17 @@ def add_contacts(source: Source, root: ET.Element) -> None:
 
 def _geom(model: mujoco.MjModel, geom: int) -> ET.Element:
     kind, size = _SIZES[int(model.geom_type[geom])]
-    said = {"size": model.geom_size[geom, :size], "pos": model.geom_pos[geom], "quat": model.geom_quat[geom]}
+    values = {"size": model.geom_size[geom, :size], "pos": model.geom_pos[geom], "quat": model.geom_quat[geom]}
     attributes = {"name": model.geom(geom).name} if model.geom(geom).name else {}
-    attributes |= {"type": kind} | {name: numbers(value) for name, value in said.items()}
+    attributes |= {"type": kind} | {name: numbers(value) for name, value in values.items()}
     return ET.Element("geom", attributes | {name: _value(getattr(model, f"geom_{name}")[geom]) for name in _SAID})
 
 
 def _pairs(model: mujoco.MjModel) -> Iterator[ET.Element]:
-    said = ("friction", "solref", "solreffriction", "solimp", "margin", "gap")
+    fields = ("friction", "solref", "solreffriction", "solimp", "margin", "gap")
     for pair in range(model.npair):
         names = {f"geom{end}": model.geom(getattr(model, f"pair_geom{end}")[pair]).name for end in (1, 2)}
-        attributes = {name: _value(getattr(model, f"pair_{name}")[pair]) for name in said}
+        attributes = {name: _value(getattr(model, f"pair_{name}")[pair]) for name in fields}
         yield ET.Element("pair", names | {"condim": _value(model.pair_dim[pair])} | attributes)
 
 
@@ -65,5 +60,5 @@ def _excludes(model: mujoco.MjModel) -> Iterator[ET.Element]:
 
 
 def _value(value: np.ndarray | np.number) -> str:
-    whole = np.issubdtype(np.asarray(value).dtype, np.integer)
-    return str(int(value)) if whole else numbers(np.asarray(value))
+    is_integer = np.issubdtype(np.asarray(value).dtype, np.integer)
+    return str(int(value)) if is_integer else numbers(np.asarray(value))

@@ -13,14 +13,9 @@ _UNPHYSICAL = 1e-9  # violation of the triangle inequality that counts as roundi
 
 @dataclass(frozen=True)
 class Link:
-    """Rigid group of the file's bodies.
+    """Rigid group of the file's bodies `fused`, in the frame of the first, whose name may be empty.
 
-    Attributes:
-        name: Name of the body in the file; empty if it has none.
-        fused: Names of all bodies of the file in the group.
-        mass: Mass [kg].
-        centre: Centre of mass in the body's frame [m].
-        inertia: Inertia about the centre of mass, in the body's axes [kg m^2], from the file, possibly unphysical.
+    Mass [kg], centre [m] and inertia about it in the body's axes [kg m^2] come from the file and may be unphysical.
     """
 
     name: str
@@ -71,20 +66,17 @@ def add_up(
     mass = float(masses.sum())
     centre = masses @ centres / mass if mass > 0 else np.zeros(3)
     total = np.zeros((3, 3))
-    for each, inertia, offset in zip(masses, inertias, centres - centre, strict=True):
-        total += inertia + each * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    for body_mass, inertia, offset in zip(masses, inertias, centres - centre, strict=True):
+        total += inertia + body_mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     return mass, centre, total
 
 
 def physical(
     mass: float, inertia: Float[np.ndarray, "3 3"]
 ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "4"], bool]:
-    """Return mass and principal inertia, corrected to a physical body if necessary.
+    """Return mass [kg], principal inertia [kg m^2] and quaternion of a physical body, and whether they were corrected.
 
     The second moments of mass along the principal axes must be positive; others are raised to nearly 0.
-
-    Returns:
-        Mass [kg], principal inertia [kg m^2], quaternion of the principal axes; and whether they were corrected.
     """
     principal, axes = np.linalg.eigh((inertia + inertia.T) / 2)
     axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection

@@ -31,20 +31,20 @@ def is_fluid(source: Source) -> bool:
 def write_option(source: Source, timestep: float | None, contacts: bool) -> ET.Element:
     """Return the `<option>` of a bench; differences from the file are noted."""
     option = source.model.opt
-    said = {"timestep": option.timestep if timestep is None else timestep, "gravity": option.gravity}
+    values = {"timestep": option.timestep if timestep is None else timestep, "gravity": option.gravity}
     attributes = {"integrator": _integrator(source)}
     if is_fluid(source):
-        said |= {"density": option.density, "viscosity": option.viscosity, "wind": option.wind}
+        values |= {"density": option.density, "viscosity": option.viscosity, "wind": option.wind}
         source.notes.append(
             f"kept: a medium of {option.density:g} kg/m^3 and {option.viscosity:g} Pa s around all bodies"
         )
         if source.model.geom_fluid[:, 0].any():
             source.fail("fluidshape of geoms, which is not supported; remove it, or option density and viscosity")
     if contacts:
-        said["impratio"] = option.impratio
+        values["impratio"] = option.impratio
         attributes["cone"] = "elliptic" if option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else "pyramidal"
     source.notes += [*_say_solver(option), *_say_contact_options(option, contacts)]
-    element = ET.Element("option", {name: numbers(value) for name, value in said.items()} | attributes)
+    element = ET.Element("option", {name: numbers(value) for name, value in values.items()} | attributes)
     flags = _flags(source, contacts)
     if flags:
         ET.SubElement(element, "flag", dict.fromkeys(flags, "disable"))
@@ -66,17 +66,17 @@ def _integrator(source: Source) -> str:
 def _say_solver(option: mujoco.MjOption) -> Iterator[str]:
     default = mujoco.MjOption()
     names = ("solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance", "noslip_iterations", "jacobian")
-    other = [name for name in names if getattr(option, name) != getattr(default, name)]
-    if other:
-        said = ", ".join(f"{name}={getattr(option, name):g}" for name in other)
-        yield f"options of the solver left out ({said}): friction is solved to MuJoCo's default accuracy"
+    changed = [name for name in names if getattr(option, name) != getattr(default, name)]
+    if changed:
+        listing = ", ".join(f"{name}={getattr(option, name):g}" for name in changed)
+        yield f"options of the solver left out ({listing}): friction is solved to MuJoCo's default accuracy"
 
 
 def _say_contact_options(option: mujoco.MjOption, contacts: bool) -> Iterator[str]:
     default = mujoco.MjOption()
-    other = [name for name in ("cone", "impratio") if getattr(option, name) != getattr(default, name)]
-    if other and not contacts:
-        yield f"contact options left out: {', '.join(other)}"
+    changed = [name for name in ("cone", "impratio") if getattr(option, name) != getattr(default, name)]
+    if changed and not contacts:
+        yield f"contact options left out: {', '.join(changed)}"
     if (option.wind != 0).any() and not (option.density > 0 or option.viscosity > 0):
         yield "option wind left out: there is no medium"
     flags = [flag.name.removeprefix("mjENBL_").lower() for flag in _enabled(option)]
@@ -85,22 +85,22 @@ def _say_contact_options(option: mujoco.MjOption, contacts: bool) -> Iterator[st
 
 
 def _enabled(option: mujoco.MjOption) -> list[mujoco.mjtEnableBit]:
-    every = [flag for name, flag in mujoco.mjtEnableBit.__members__.items() if name.startswith("mjENBL")]
-    return [flag for flag in every if option.enableflags & flag]
+    flags = [flag for name, flag in mujoco.mjtEnableBit.__members__.items() if name.startswith("mjENBL")]
+    return [flag for flag in flags if option.enableflags & flag]
 
 
 def _flags(source: Source, contacts: bool) -> list[str]:
     """Return the names of the flags that stay disabled; others are noted."""
-    every = {name: flag for name, flag in _OFF.__members__.items() if name.startswith("mjDSBL")}
-    off = [name.removeprefix("mjDSBL_").lower() for name, flag in every.items() if source.model.opt.disableflags & flag]
+    flags = {name: flag for name, flag in _OFF.__members__.items() if name.startswith("mjDSBL")}
+    off = [name.removeprefix("mjDSBL_").lower() for name, flag in flags.items() if source.model.opt.disableflags & flag]
     kept = _KEPT_FLAGS | (_CONTACT_FLAGS if contacts else set())
-    told = {
+    reasons = {
         "frictionloss": "it would switch off the friction that is identified",
         "actuation": "it would switch off the drives",
     }
-    source.notes += [f"flag {flag}=disable left out: {told[flag]}" for flag in off if flag in told]
-    switched = [flag for flag in off if flag in _ASKED]
-    if switched:
-        source.notes.append(f"flags {', '.join(switched)}=disable: the bench does not contain these effects")
-    assert not set(off) - _KEPT_FLAGS - _CONTACT_FLAGS - _ASKED - _IDLE - set(told) - {"clampctrl"}, off
+    source.notes += [f"flag {flag}=disable left out: {reasons[flag]}" for flag in off if flag in reasons]
+    absent = [flag for flag in off if flag in _ASKED]
+    if absent:
+        source.notes.append(f"flags {', '.join(absent)}=disable: the bench does not contain these effects")
+    assert not set(off) - _KEPT_FLAGS - _CONTACT_FLAGS - _ASKED - _IDLE - set(reasons) - {"clampctrl"}, off
     return [flag for flag in off if flag in kept]

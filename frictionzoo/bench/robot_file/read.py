@@ -36,17 +36,14 @@ class RobotFile:
     Attributes:
         root: Self-contained MJCF of the selected joints, in radians, with a fixed base, without friction, damping,
             armature and actuators at these joints, without meshes and sensors.
-        joints: Names of the selected joints, in MuJoCo's order.
-        values: `armature` [kg m^2 or kg], `frictionloss` [N m or N] and `damping` [N m s/rad or N s/m] of each joint in
-            the file, including its actuators' armature and damping, of shape (nv,).
-        bristles: Friction of the `<dcmotor>`s, by the parameter names of `lugre`, of shape (nv,); NaN for a joint
-            without bristles.
-        actuators: Actuator of each joint; None without a supported actuator.
-        ranges: Limits of each joint's position [rad or m], of shape (nv, 2); NaN without a limit.
-        forceranges: Torque limits of each joint [N m or N], from joint and actuator, of shape (nv, 2); NaN without a
-            limit.
-        ctrlranges: Limits of each joint's desired position [rad or m], of shape (nv, 2); NaN without a limit.
-        delays: Delay of each joint's commands [s], of shape (nv,); 0 without an actuator.
+        values: `armature` [kg m^2 or kg], `frictionloss` [N m or N] and `damping` [N m s/rad or N s/m] of each joint,
+            including its actuators'.
+        bristles: Friction of the `<dcmotor>`s, by the parameter names of `lugre`; NaN for a joint without bristles.
+        actuators: None for a joint without a supported actuator.
+        ranges: Limits of each joint's position [rad or m]; NaN without a limit.
+        forceranges: Torque limits of each joint [N m or N], from joint and actuator; NaN without a limit.
+        ctrlranges: Limits of each joint's desired position [rad or m]; NaN without a limit.
+        delays: Delay of each joint's commands [s]; 0 without an actuator.
         links: All moving bodies, and those kept by name.
         notes: Features that were left out or changed, one line each.
     """
@@ -75,21 +72,11 @@ def read_robot(
     keep: Collection[str] = (),
     timestep: float | None = None,
 ) -> RobotFile:
-    """Read a robot's file.
+    """Read a robot's file; for the options, see `Robot`.
 
     With the file's values and actuators added, the result moves like the manufacturer's file with all other joints
-    welded. Bodies without a selected joint between them are fused.
-
-    Args:
-        source: Path of an MJCF or a URDF. Meshes are opened only if a body's inertia depends on them.
-        joint: Names of the moving joints, or regular expressions that match whole names; None for all with one degree
-            of freedom.
-        base: `fixed`, or `as_is` to refuse a floating base.
-        contacts: `leave_out`, or `keep` for primitive geoms that can touch.
-        limits: `leave_out` or `keep` the limits of joints and tendons.
-        others: `fixed` to hold unselected joints at their reference position, or `as_is` to refuse them.
-        keep: Names of bodies that are not fused with their parents.
-        timestep: Simulation step [s]; None for the file's.
+    welded. Bodies without a selected joint between them are fused, except those named in `keep`. Meshes are opened only
+    if a body's inertia depends on them.
 
     Raises:
         BenchError: The file cannot be read, lacks these joints or bodies, or has an unsupported feature that affects
@@ -150,39 +137,38 @@ def _refuse_plugins(file: Source, tree: Tree) -> None:
 
 def _values(file: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, "nv"]]:
     model, dofs = file.model, [file.dof(joint) for joint in joints]
-    bent = [model.joint(joint).name for joint in joints if model.jnt_stiffnesspoly[joint].any()]
-    if bent:
-        file.notes.append(f"nonlinear springs of joint {listed(bent)}: only the coefficient of qpos is kept")
+    nonlinear = [model.joint(joint).name for joint in joints if model.jnt_stiffnesspoly[joint].any()]
+    if nonlinear:
+        file.notes.append(f"nonlinear springs of joint {listed(nonlinear)}: only the coefficient of qpos is kept")
     soft = [model.joint(joint).name for joint in joints if tuple(model.dof_solref[file.dof(joint)]) != _DEFAULT_SOLREF]
     if soft:
-        said = " ".join(f"{number:g}" for number in model.dof_solref[file.dof(joints[0])])
+        stated = " ".join(f"{number:g}" for number in model.dof_solref[file.dof(joints[0])])
         file.notes.append(
-            f"solreffriction of joint {listed(soft)} ({said}) left out: bench.solreffriction sets it for all joints"
+            f"solreffriction of joint {listed(soft)} ({stated}) left out: bench.solreffriction sets it for all joints"
         )
     frictionloss = model.dof_frictionloss[dofs].copy()
-    said = {
+    stated = {
         "armature": read_armature(file, joints),
         "frictionloss": frictionloss,
         "damping": read_damping(file, joints),
     }
-    return {name: _at_least_zero(file, joints, name, values) for name, values in said.items()}
+    return {name: _at_least_zero(file, joints, name, values) for name, values in stated.items()}
 
 
 def _at_least_zero(
     file: Source, joints: Sequence[int], name: str, values: Float[np.ndarray, "nv"]
 ) -> Float[np.ndarray, "nv"]:
-    """Return the values with negative ones, which a file from an unbounded fit may have, set to 0 and noted."""
+    """Return the values with negative ones, possible after an unbounded fit, set to 0 and noted."""
     pairs = zip(joints, values, strict=True)
-    below = [f"{file.model.joint(joint).name} ({value:.3g})" for joint, value in pairs if value < 0]
-    if below:
-        file.notes.append(f"{name} below 0 in the file is taken as 0: of joint {listed(below)}")
+    negative = [f"{file.model.joint(joint).name} ({value:.3g})" for joint, value in pairs if value < 0]
+    if negative:
+        file.notes.append(f"{name} below 0 in the file is taken as 0: of joint {listed(negative)}")
     return np.maximum(values, 0.0)
 
 
 def _write(
     file: Source, tree: Tree, joints: Sequence[int], contacts: bool, limits: bool, timestep: float | None
 ) -> ET.Element:
-    """Return the MJCF; omitted features that affect the motion are noted."""
     acts = acting(file, "contact")
     touching = acts and bool(file.model.npair or can_collide(file.model))
     if acts and contacts and file.meshes:
@@ -203,7 +189,7 @@ def _write(
 
 
 def _say_left_out(file: Source, joints: Sequence[int], contacts: bool, limits: bool) -> Iterator[str]:
-    """Yield a note for omitted contacts and limits, with the condition under which the recording does not need them."""
+    """Yield a note for omitted contacts and limits, with the condition under which omission is correct."""
     limited = [joint for joint in joints if file.model.jnt_limited[joint]]
     if contacts:
         yield (
@@ -224,27 +210,27 @@ def _limit(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
 
 def _force_limit(file: Source, joint: int, actuator: ReadActuator | None) -> tuple[float, float]:
     """Return the torque range of a joint: the actuator's range, clipped to the joint's `actuatorfrcrange`."""
-    model, none = file.model, (np.nan, np.nan)
-    low, high = map(float, model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else none
+    model, no_limit = file.model, (np.nan, np.nan)
+    low, high = map(float, model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else no_limit
     if not np.isnan(low) and model.jnt_actgravcomp[joint]:
         file.notes.append(
             f"actuatorfrcrange of joint {model.joint(joint).name}: ends the torque of the controller alone, without "
             "that of gravity compensation"
         )
-    return clip_range(none if actuator is None else actuator.torques, (low, high))
+    return clip_range(no_limit if actuator is None else actuator.torques, (low, high))
 
 
 def _say_damped_limits(joints: Sequence[int], actuators: Sequence[ReadActuator | None], file: Source) -> Iterator[str]:
     """Yield a note on joints whose damping at the torque limit MuJoCo's implicit integrators omit."""
     if file.model.opt.integrator not in _IMPLICIT:
         return
-    named = [
+    names = [
         file.model.joint(joint).name
         for joint, read in zip(joints, actuators, strict=True)
         if read is not None and read.bias2 and not np.isnan(read.forcerange).all()
     ]
-    if named:
+    if names:
         yield (
-            f"forcerange of joint {listed(named)}: while the torque is at its limit, kd damps the step as if it were "
+            f"forcerange of joint {listed(names)}: while the torque is at its limit, kd damps the step as if it were "
             "not, which MuJoCo's implicit integrators leave out there"
         )

@@ -34,15 +34,13 @@ class Source:
     """Robot's file after compilation.
 
     Attributes:
-        path: Path from the user.
         model: Compiled model with all joints and actuators, including a floating base.
-        mass: Mass of each body [kg], of shape (nbody,).
-        centre: Centre of mass of each body in its frame [m], of shape (nbody, 3).
-        inertia: Inertia about the centre of mass, in the body's axes [kg m^2], of shape (nbody, 3, 3).
-        compiled: Whether the compiled model has a body's mass and inertia; it has 1 instead of values that MuJoCo
-            refuses.
-        meshes: Number of geoms with a mesh that could touch something.
+        mass: Mass of each body [kg].
+        centre: Centre of mass of each body in its frame [m].
+        inertia: Inertia about the centre of mass, in the body's axes [kg m^2].
+        compiled: Whether `model` has a body's mass and inertia; it has 1 instead of values that MuJoCo refuses.
         absent: Missing mesh file that determines a body's inertia, by the body's index.
+        meshes: Number of geoms with a mesh that could touch something.
         notes: Features that were left out or changed, one line each.
     """
 
@@ -71,19 +69,14 @@ class Source:
 
 def listed(names: Sequence[str]) -> str:
     """Return the first names and the number of the others, for messages."""
-    more = len(names) - _LISTED
-    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+    others = len(names) - _LISTED
+    return ", ".join(names[:_LISTED]) + (f" and {others} more" if others > 0 else "")
 
 
 def load(path: str, content: bytes | None = None, equip: Callable[[mujoco.MjSpec], None] = lambda _: None) -> Source:
-    """Read a robot's file, MJCF or URDF.
+    """Read a robot's file, MJCF or URDF, or its `content` without includes; `equip` extends it before compilation.
 
     Textures are not opened, and meshes only if a body's inertia depends on them.
-
-    Args:
-        path: Path of the file.
-        content: Content instead of the file's, without includes; None reads the file.
-        equip: Function that extends the specification before compilation.
 
     Raises:
         BenchError: The file cannot be read, or MuJoCo refuses it.
@@ -127,23 +120,23 @@ def look_at(path: str) -> mujoco.MjModel:
 @contextlib.contextmanager
 def _collecting_warnings(notes: list[str]) -> Iterator[None]:
     """Collect MuJoCo's warnings as notes; MuJoCo would print them and write a file in the working directory."""
-    found: dict[str, list[str]] = {}  # groups warnings that differ only in a name
+    names_of: dict[str, list[str]] = {}  # groups warnings that differ only in a name
 
     def collect(text: str) -> None:
-        named = re.search("'(.*?)'", text)
+        match = re.search("'(.*?)'", text)
         kind = " ".join(re.sub("'.*?'", "{}", text, count=1).split())
-        found.setdefault(kind, []).append(named[1] if named else "")
+        names_of.setdefault(kind, []).append(match[1] if match else "")
 
     mujoco.set_mju_user_warning(collect)
     try:
-        with warnings.catch_warnings(record=True) as warned:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield
     finally:
         mujoco.set_mju_user_warning(None)
-        for warning in warned:
+        for warning in caught:
             collect(str(warning.message))
-        notes += [f"MuJoCo warns: {kind.replace('{}', listed(names))}" for kind, names in found.items()]
+        notes += [f"MuJoCo warns: {kind.replace('{}', listed(names))}" for kind, names in names_of.items()]
 
 
 @contextlib.contextmanager
@@ -188,11 +181,11 @@ def _leave_out(spec: mujoco.MjSpec) -> Iterator[str]:
     for element in (*spec.geoms, *spec.sites, *spec.tendons, *spec.meshes):
         element.material = ""
     kinds = ("sensors", "keys", "cameras", "lights", "skins", "textures", "materials", "tuples")
-    left = {kind: list(getattr(spec, kind)) for kind in kinds}
-    for elements in left.values():
+    removed = {kind: list(getattr(spec, kind)) for kind in kinds}
+    for elements in removed.values():
         for element in elements:
             spec.delete(element)
-    counts = [f"{len(elements)} {kind}" for kind, elements in left.items() if elements]
+    counts = [f"{len(elements)} {kind}" for kind, elements in removed.items() if elements]
     if counts:
         yield f"left out, because they move no joint: {', '.join(counts)}"
     if spec.flexes:
@@ -210,12 +203,7 @@ def _needs_asset(geom: mujoco.MjsGeom) -> bool:
 
 @dataclass
 class _Settled:
-    """Inertias of bodies that differ from the compiled model.
-
-    Attributes:
-        unlike: Mass and inertia that MuJoCo refuses, in the file's axes; MuJoCo compiles 1 instead.
-        absent: Missing mesh file that determines the inertia.
-    """
+    """Inertias in the file's axes that MuJoCo refuses (`unlike`), and missing meshes that give inertia (`absent`)."""
 
     unlike: dict[mujoco.MjsBody, tuple[float, Float[np.ndarray, "3 3"]]] = field(default_factory=dict)
     absent: dict[mujoco.MjsBody, str] = field(default_factory=dict)
@@ -264,7 +252,6 @@ def _gives_inertia(geom: mujoco.MjsGeom, body: mujoco.MjsBody, compiler: mujoco.
 
 
 def _is_there(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh | None, folder: Path) -> bool:
-    """Return whether MuJoCo can open a mesh."""
     if mesh is None or not mesh.file:
         return mesh is not None
     name = Path(mesh.file).name if spec.strippath else mesh.file
@@ -293,7 +280,6 @@ def _is_taken(mass: float, inertia: Float[np.ndarray, "3 3"], moves: bool, balan
 
 
 def _let_geoms_give(body: mujoco.MjsBody) -> None:
-    """Remove the body's explicit inertia, for an inertia from its geoms."""
     _put_ones(body)
     body.mass, body.explicitinertial, body.ipos = 0.0, False, [np.nan, 0.0, 0.0]
 
@@ -306,7 +292,6 @@ def _put_ones(body: mujoco.MjsBody) -> None:
 
 
 def _delete_unused(spec: mujoco.MjSpec) -> None:
-    """Delete height fields, meshes without a geom, and contact pairs with a deleted geom."""
     used, geoms = {geom.meshname for geom in spec.geoms}, {geom.name for geom in spec.geoms}
     unused = [mesh for mesh in spec.meshes if mesh.name not in used]
     pairs = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= geoms]
@@ -318,19 +303,14 @@ def _with_inertia(path: str, model: mujoco.MjModel, settled: _Settled, meshes: i
     axes = np.stack([rotation(quaternion) for quaternion in model.body_iquat])
     inertia = axes * model.body_inertia[:, None, :] @ axes.transpose(0, 2, 1)
     mass, compiled = model.body_mass.copy(), np.ones(model.nbody, bool)
-    for body, (own_mass, own) in settled.unlike.items():
-        mass[body.id], inertia[body.id] = own_mass, axes[body.id] @ own @ axes[body.id].T
+    for body, (body_mass, body_inertia) in settled.unlike.items():
+        mass[body.id], inertia[body.id] = body_mass, axes[body.id] @ body_inertia @ axes[body.id].T
         compiled[body.id] = False
     absent = {body.id: file for body, file in settled.absent.items()}
     return Source(path, model, mass, model.body_ipos.copy(), inertia, compiled, absent, meshes, notes)
 
 
 def _refuse_no_numbers(source: Source) -> None:
-    """Refuse numbers that are not finite.
-
-    Raises:
-        BenchError: A body, joint, actuator, tendon or option has such a number.
-    """
     model, bodies = source.model, np.column_stack([source.mass, source.centre, source.inertia.reshape(-1, 9)])
     kinds = {"body": ("body_", model.nbody), "joint": ("jnt_", model.njnt), "actuator": ("actuator_", model.nactuator)}
     for kind, (prefix, count) in kinds.items():

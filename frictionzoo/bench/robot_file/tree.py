@@ -20,16 +20,10 @@ def numbers(values: float | np.ndarray) -> str:
 
 
 class Tree:
-    """Tree of fused bodies for a set of moving joints; the other joints stay at their reference position.
+    """Tree of fused bodies for moving `joints`; the other joints stay at their reference position.
 
-    Attributes:
-        links: Moving links and those kept by name, or all bodies if `apart`, in MuJoCo's order.
-
-    Args:
-        source: The robot's file.
-        joints: Indices of the moving joints.
-        kept: Names of bodies that are not fused with their parents.
-        apart: Whether no body is fused.
+    Bodies named in `kept`, or all if `apart`, are not fused with their parents. `links` has the moving links and these
+    bodies, in MuJoCo's order.
     """
 
     def __init__(self, source: Source, joints: Sequence[int], kept: Collection[str], apart: bool) -> None:
@@ -41,9 +35,9 @@ class Tree:
         for body in range(1, model.nbody):
             parent = int(model.body_parentid[body])
             self._moves[body] = self._moves[parent] or body in jointed
-            mine = body in jointed or apart or model.body(body).name in kept or self._lifted(body, parent)
-            self._owner[body] = body if mine else self._owner[parent]
-            if not mine:
+            is_owner = body in jointed or apart or model.body(body).name in kept or self._lifted(body, parent)
+            self._owner[body] = body if is_owner else self._owner[parent]
+            if not is_owner:
                 self._place[body] = self._place[parent].of(self._own_place(body))
         self._jointed = jointed
         self._refuse_unknown()
@@ -80,10 +74,10 @@ class Tree:
 
     def _say_massless(self) -> Iterator[str]:
         jointed = [link for body, link in zip(self._bodies(), self.links, strict=True) if body in self._jointed]
-        without = [link.name for link in jointed if link.mass < LEAST or np.linalg.norm(link.inertia) < LEAST]
-        if without:
+        massless = [link.name for link in jointed if link.mass < LEAST or np.linalg.norm(link.inertia) < LEAST]
+        if massless:
             yield (
-                f"{len(without)} moving links have no mass or no inertia ({listed(without)}): they get {LEAST:g} kg "
+                f"{len(massless)} moving links have no mass or no inertia ({listed(massless)}): they get {LEAST:g} kg "
                 "and kg m^2, which MuJoCo requires"
             )
 
@@ -102,7 +96,6 @@ class Tree:
         return Place(self._source.model.body_pos[body].copy(), self._source.model.body_quat[body].copy())
 
     def _lifted(self, body: int, parent: int) -> bool:
-        """Return whether a body's gravity compensation differs from its parent body's."""
         lift, owner = self._source.model.body_gravcomp, self._owner[parent]
         return bool(self._moves[body] and self._source.mass[body] > 0 and lift[body] != lift[owner])
 
@@ -133,9 +126,9 @@ class Tree:
             centre = link.centre
             mass, principal, quaternion, changed = physical(link.mass, link.inertia)
             if changed:
-                had = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(link.inertia))
+                moments = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(link.inertia))
                 self._source.notes.append(
-                    f"the inertia of link {link.name} is not physical (principal moments {had} kg m^2), "
+                    f"the inertia of link {link.name} is not physical (principal moments {moments} kg m^2), "
                     f"which MuJoCo refuses: taken as {', '.join(f'{moment:.3g}' for moment in np.sort(principal))}"
                 )
         inertial = {"pos": centre, "quat": quaternion, "mass": mass, "diaginertia": principal}
@@ -144,18 +137,18 @@ class Tree:
     def _joint(self, joint: int, limits: bool) -> ET.Element:
         model, dof = self._source.model, self._source.dof(joint)
         address = int(model.jnt_qposadr[joint])
-        said = {"pos": model.jnt_pos[joint], "axis": model.jnt_axis[joint]}
+        values = {"pos": model.jnt_pos[joint], "axis": model.jnt_axis[joint]}
         if model.qpos0[address]:
-            said["ref"] = model.qpos0[address]
+            values["ref"] = model.qpos0[address]
         if model.jnt_stiffness[joint]:
-            said |= {"stiffness": model.jnt_stiffness[joint], "springref": model.qpos_spring[address]}
+            values |= {"stiffness": model.jnt_stiffness[joint], "springref": model.qpos_spring[address]}
         if (model.dof_solimp[dof] != _SOLIMP).any():
-            said["solimpfriction"] = model.dof_solimp[dof]
+            values["solimpfriction"] = model.dof_solimp[dof]
         if limits and model.jnt_limited[joint]:
-            said |= {"range": model.jnt_range[joint], "margin": model.jnt_margin[joint]}
-            said |= {"solreflimit": model.jnt_solref[joint], "solimplimit": model.jnt_solimp[joint]}
+            values |= {"range": model.jnt_range[joint], "margin": model.jnt_margin[joint]}
+            values |= {"solreflimit": model.jnt_solref[joint], "solimplimit": model.jnt_solimp[joint]}
         attributes = {"name": model.joint(joint).name, "type": _KINDS[int(model.jnt_type[joint])]}
-        attributes |= {name: numbers(value) for name, value in said.items()}
+        attributes |= {name: numbers(value) for name, value in values.items()}
         if limits and model.jnt_limited[joint]:
             attributes["limited"] = "true"
         if model.jnt_actgravcomp[joint]:

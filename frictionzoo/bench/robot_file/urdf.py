@@ -13,10 +13,7 @@ _UNREAD_OF_JOINTS = {"safety_controller", "calibration"}
 
 
 def clean(path: str, root: ET.Element) -> Iterator[str]:
-    """Remove from a URDF, in place, elements that MuJoCo refuses or ignores.
-
-    Yields:
-        A note for each kind of ignored element.
+    """Remove from a URDF, in place, elements that MuJoCo refuses or ignores; yield a note for each ignored kind.
 
     Raises:
         BenchError: The file has xacro macros.
@@ -46,9 +43,9 @@ def _take_first(root: ET.Element) -> Iterator[str]:
     """Keep the first of several elements that may occur once, as URDF's reference reader (urdfdom) does."""
     for owner in root.iter():
         once = _ONCE & {"inertial"} if owner.tag == "link" else _ONCE  # a link may have several shapes
-        seen = set()
+        tags = set()
         for child in list(owner):
-            if child.tag in seen and child.tag in once:
+            if child.tag in tags and child.tag in once:
                 owner.remove(child)
                 yield f"a second <{child.tag}> of <{owner.tag} {owner.get('name', '')}> is left out"
-            seen.add(child.tag)
+            tags.add(child.tag)
