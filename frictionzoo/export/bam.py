@@ -47,68 +47,69 @@ class Bam(Target):
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         if not isinstance(fitted.bench.actuator, VoltageServo):
-            came = f"the bench's actuator is a {type(fitted.bench.actuator).__name__}"
-            raise ExportError(f"target=bam: {came}, expected a VoltageServo; write target=mjcf")
-        actuator, remark = _choose_actuator(fitted, options)
-        laws, remarks = _to_bam(fitted)
+            actual = f"the bench's actuator is a {type(fitted.bench.actuator).__name__}"
+            raise ExportError(f"target=bam: {actual}, expected a VoltageServo; write target=mjcf")
+        actuator, actuator_remarks = _choose_actuator(fitted, options)
+        laws, law_remarks = _to_bam(fitted)
         # A joint's name may contain "/", a file name may not.
         prefixes = [f"{quote(name, safe='')}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
         files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
-        if long := [file for file in files if len(file) > _LONGEST]:
+        if too_long := [file for file in files if len(file) > _LONGEST]:
             raise ExportError(
-                f"target=bam: {long[0][:40]}... as name of a file, expected shorter names of joints; rename it"
+                f"target=bam: {too_long[0][:40]}... as name of a file, expected shorter names of joints; rename it"
             )
         for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
             # BAM's controllers replace the robot's damping.
             law["friction_viscous"] += float(fitted.bench.own_damping[joint])
             parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
             write_atomically(folder / file, (json.dumps(parameters, indent=4) + "\n").encode())
-        limits = (*remarks, *remark, _KT, _INPUTS)
+        limits = (*law_remarks, *actuator_remarks, _KT, _INPUTS)
         return Export(files, _compare(fitted, [folder / file for file in files], _lack(fitted, actuator)), limits)
 
 
 def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
     """Evaluate dry friction and damping of BAM's m1 to m6 with a file's parameters, at states in numpy arrays."""
     _, names = LAWS[parameters["model"]]
-    has = defaultdict(float, {bam: parameters[bam] for bam in names})
+    values = defaultdict(float, {bam: parameters[bam] for bam in names})
     motor, external = state.motor_torque, state.external_torque
-    weaker = np.where(
+    quadratic_load = np.where(
         np.abs(external) < np.abs(motor),
-        has["load_friction_external_quad"] * external**2,
-        has["load_friction_motor_quad"] * motor**2,
+        values["load_friction_external_quad"] * external**2,
+        values["load_friction_motor_quad"] * motor**2,
     )
-    load, at_rest = (
-        has[f"load_friction_{undirected}"] * np.abs(external - motor)
-        + np.abs(has[f"load_friction_external{part}"] * external - has[f"load_friction_motor{part}"] * motor)
+    load, stribeck_load = (
+        values[f"load_friction_{undirected}"] * np.abs(external - motor)
+        + np.abs(values[f"load_friction_external{part}"] * external - values[f"load_friction_motor{part}"] * motor)
         for undirected, part in (("base", ""), ("stribeck", "_stribeck"))
     )
-    dry = has["friction_base"] + load
-    if "dtheta_stribeck" in has:
-        share = np.exp(-(np.abs(state.qvel / has["dtheta_stribeck"]) ** has["alpha"]))
-        dry = dry + share * (has["friction_stribeck"] + at_rest + (np.sign(external) != np.sign(motor)) * weaker)
-    return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), has["friction_viscous"]))
+    dry = values["friction_base"] + load
+    if "dtheta_stribeck" in values:
+        share = np.exp(-(np.abs(state.qvel / values["dtheta_stribeck"]) ** values["alpha"]))
+        dry = dry + share * (
+            values["friction_stribeck"] + stribeck_load + (np.sign(external) != np.sign(motor)) * quadratic_load
+        )
+    return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), values["friction_viscous"]))
 
 
 def _to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return BAM's friction parameters for each joint, and remarks on the loss of accuracy."""
     joints = range(fitted.bench.nv)
     laws = [_rename(fitted, joint) for joint in joints]
     smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH and laws[j] is not None for j in joints)
     others = [joint for joint in joints if laws[joint] is None]
     remarks = [_STICKS] if smooth else []
     if others:
-        nearest, said = _nearest(fitted, others)
-        laws, remarks = [law or nearest[joint] for joint, law in enumerate(laws)], [*said, *remarks]
+        nearest, nearest_remarks = _nearest(fitted, others)
+        laws, remarks = [law or nearest[joint] for joint, law in enumerate(laws)], [*nearest_remarks, *remarks]
     return [law for law in laws if law], remarks
 
 
 def _rename(fitted: FittedDrive, joint: int) -> dict[str, Any] | None:
     """Return BAM's parameters of a joint's friction model; None if BAM has no such model."""
-    law, place, prefix = fitted.model.of_joint(joint)
-    values = {name: float(fitted.values["friction"][prefix + name][place]) for name in law.params}
+    law, index, prefix = fitted.model.of_joint(joint)
+    values = {name: float(fitted.values["friction"][prefix + name][index]) for name in law.params}
     for model, (name, names) in LAWS.items():
         if law.name == name:
-            return {"model": model, **{bam: values[own] for bam, own in names.items()}}
+            return {"model": model, **{bam: values[param] for bam, param in names.items()}}
     if law.name == "coulomb_smooth":
         base, viscous = values["static_torque"], values["viscous_coefficient"]
         return {"model": "m1", "friction_base": base, "friction_viscous": viscous}
@@ -125,16 +126,16 @@ def _nearest(fitted: FittedDrive, joints: Sequence[int]) -> tuple[dict[int, dict
     samples = fitted.samples
     torque = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
     load = np.abs(samples.external_torque - samples.motor_torque)
-    laws, left = {}, []
+    laws, residuals = {}, []
     for joint in joints:
         velocity = samples.qvel[:, joint]
         columns = np.stack([np.sign(velocity), np.sign(velocity) * load[:, joint], velocity], axis=1)
         (base, share, viscous), distance = nnls(columns, torque[:, joint])
         laws[joint] = {"model": "m3", "friction_base": base, "load_friction_base": share, "friction_viscous": viscous}
-        left.append(distance / np.sqrt(len(velocity)))
+        residuals.append(distance / np.sqrt(len(velocity)))
     size = np.sqrt(np.square(torque[:, joints]).mean())
     names = ", ".join(dict.fromkeys(fitted.model.of_joint(joint)[0].name for joint in joints))
-    listed = ", ".join(f"{rms:.3g}" for rms in left)
+    listed = ", ".join(f"{rms:.3g}" for rms in residuals)
     return laws, [
         f"BAM has no {names}: m3 was fitted to its torque at the recorded states, by least squares with "
         f"all terms >= 0, and leaves {listed} N m RMS of {size:.3g} N m."
@@ -142,7 +143,6 @@ def _nearest(fitted: FittedDrive, joints: Sequence[int]) -> tuple[dict[int, dict
 
 
 def _motor(fitted: FittedDrive, joint: int, actuator: str) -> dict[str, float]:
-    """Return BAM's parameters of a joint's motor and bench."""
     bench = {name: float(value[joint]) for name, value in fitted.values["bench"].items()}
     torque_constant = bench["kt2_over_r"] / bench["kt_over_r"]
     motor = {
@@ -158,57 +158,52 @@ def _motor(fitted: FittedDrive, joint: int, actuator: str) -> dict[str, float]:
 
 
 def _choose_actuator(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Choose BAM's name of the servo, and list remarks on it."""
     gain = float(fitted.values["bench"]["duty_gain"][0])
-    given = options.get("servo")
-    if given is not None and given not in DUTY:
-        raise ConfigError(f"servo={given}: unknown; {closest(given, DUTY)}")
-    chosen = given or min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
-    said = [] if given else [f"servo={chosen} was taken for its gain; give its name in BAM if it is another."]
+    requested = options.get("servo")
+    if requested is not None and requested not in DUTY:
+        raise ConfigError(f"servo={requested}: unknown; {closest(requested, DUTY)}")
+    chosen = requested or min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
+    remarks = [] if requested else [f"servo={chosen} was taken for its gain; give its name in BAM if it is another."]
     if chosen != "sts3215" and not np.isclose(gain, DUTY[chosen][0], rtol=1e-3):
-        said.append(f"BAM's {chosen} has a duty cycle of {DUTY[chosen][0]:.4g} per radian and gain, not {gain:.4g}.")
+        remarks.append(f"BAM's {chosen} has a duty cycle of {DUTY[chosen][0]:.4g} per radian and gain, not {gain:.4g}.")
     limit = float(fitted.values["bench"]["duty_limit"][0])
     if limit != DUTY[chosen][1]:
-        said.append(f"BAM's {chosen} limits the duty cycle to {DUTY[chosen][1]:g}, not {limit:g}.")
-    return chosen, said
+        remarks.append(f"BAM's {chosen} limits the duty cycle to {DUTY[chosen][1]:g}, not {limit:g}.")
+    return chosen, remarks
 
 
 def _lack(fitted: FittedDrive, actuator: str) -> str:
-    """Describe in a few words why BAM moves differently than the drive."""
-    own = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
-    other = dict.fromkeys(fitted.model.of_joint(j)[0].name for j, law in enumerate(own) if law is None)
-    smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH for j, law in enumerate(own) if law)
-    said = ["friction follows the torques of the step before", *(f"m3 is no {name}" for name in other)]
-    said += ["it sticks at rest"] if smooth else []
+    """Describe in a few words why BAM moves differently from the drive."""
+    laws = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
+    missing = dict.fromkeys(fitted.model.of_joint(j)[0].name for j, law in enumerate(laws) if law is None)
+    smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH for j, law in enumerate(laws) if law)
+    reasons = ["friction follows the torques of the step before", *(f"m3 is no {name}" for name in missing)]
+    reasons += ["it sticks at rest"] if smooth else []
     limit = DUTY[actuator][1]
     return ", ".join(
-        said + ([f"duty cycles end at {limit:g}"] if fitted.values["bench"]["duty_limit"][0] != limit else [])
+        reasons + ([f"duty cycles end at {limit:g}"] if fitted.values["bench"]["duty_limit"][0] != limit else [])
     )
 
 
 def _compare(fitted: FittedDrive, paths: list[Path], reason: str) -> tuple[Difference, ...]:
-    """Compare the files with the drive: friction at the recorded states, and rollouts in MuJoCo C.
-
-    `reason` names what BAM lacks of the drive.
-    """
+    """Compare friction at the recorded states, and rollouts in MuJoCo C; `reason` explains the difference."""
     files = [load_parameters(path) for path in paths]
     bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]
     stacked = {name: np.array([values[name] for values in bench]) for name in bench[0]}
     written = replace(fitted, values={"bench": stacked, "friction": fitted.values["friction"]})
     values, ones = {name: value for name, value in stacked.items() if name != "delay"}, np.ones(written.bench.nv)
     model = mujoco.MjModel.from_xml_string(written.bench.mjcf(values, ones, ones))  # each step sets the friction
-    came = simulate(model, written, _step(written, files))
+    qpos = simulate(model, written, _step(written, files))
     terms = _budgets(files, fitted.samples)
     return (
         compare(fitted, terms._replace(damping=terms.damping - fitted.bench.own_damping), "BAM's formula"),
-        measure("qpos", fitted, came, fitted.rollout()[0], reason=reason),
+        measure("qpos", fitted, qpos, fitted.rollout()[0], reason=reason),
     )
 
 
 def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
-    """Evaluate the friction of all joints, stacked along the last axis."""
     states = [state.map(lambda signal, joint=joint: signal[..., joint]) for joint in range(len(files))]
-    terms = [friction_budget(data, seen) for data, seen in zip(files, states, strict=True)]
+    terms = [friction_budget(data, joint_state) for data, joint_state in zip(files, states, strict=True)]
     loss, damping = (np.stack([getattr(term, name) for term in terms], -1) for name in ("frictionloss", "damping"))
     return FrictionTerms(frictionloss=loss, damping=damping)
 

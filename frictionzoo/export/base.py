@@ -22,11 +22,10 @@ class Target(ABC):
 
     Attributes:
         name: Set by `register_target`.
-        options: Options of the target, with a short description each, in addition to the common ones.
-        integrators: MuJoCo integrators that the target supports.
+        options: Description of each option of the target, in addition to the common ones.
+        integrators: Supported MuJoCo integrators.
         packages: Python packages needed to write and run the files; their versions are noted.
-        instant: Whether the files hold the friction model as a function of one instant, which excludes models with
-            memory.
+        instant: Whether the files evaluate the friction model at one instant, which excludes models with memory.
     """
 
     name: ClassVar[str]
@@ -37,12 +36,9 @@ class Target(ABC):
 
     @abstractmethod
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
-        """Write the drive, and run the written files.
+        """Write the drive for the requested time step, and run the written files.
 
-        Args:
-            fitted: The drive, for the requested time step.
-            folder: An empty folder; its files are discarded after an error.
-            options: The given options of the target, as text.
+        `folder` is empty, and its files are discarded after an error. `options` has the target's options as text.
 
         Raises:
             FrictionzooError: The target cannot represent this drive, or an option is invalid.
@@ -69,20 +65,15 @@ def measure(
     over: str | None = None,
     reason: str = "",
 ) -> Difference:
-    """Measure the difference between the written files and the fitted drive.
+    """Measure the difference between `qpos` or `torque` of the written files and of the fitted drive.
 
-    Args:
-        quantity: `qpos` or `torque`.
-        fitted: The drive.
-        came: Values of the written files; positions of all long test rollouts are also compared with the recordings.
-        expected: Values of the drive.
-        over: The compared data, in words; None for the long test rollouts.
-        reason: Reason for a difference, in a few words.
+    Without `over`, which describes the compared data, these are positions of all long test rollouts, and are also
+    compared with the recordings.
     """
-    distance, positions = np.abs(came - expected), quantity == "qpos"
-    whole = positions and over is None
-    error = float(np.abs(fitted.find_errors(came)).mean()) if whole else None
-    unit = UNITS[fitted.bench.joint_type]["position" if positions else quantity]
+    distance, is_position = np.abs(came - expected), quantity == "qpos"
+    all_rollouts = is_position and over is None
+    error = float(np.abs(fitted.find_errors(came)).mean()) if all_rollouts else None
+    unit = UNITS[fitted.bench.joint_type]["position" if is_position else quantity]
     return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason, error)
 
 

@@ -44,54 +44,45 @@ class Mjcf(Target):
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        own = isinstance(fitted.bench, Robot)
+        is_robot = isinstance(fitted.bench, Robot)
         for name in ("joint", "actuator"):
-            if name in options and "into" not in options and not own:
+            if name in options and "into" not in options and not is_robot:
                 raise ConfigError(f"{name}={options[name]} without into; give into=ROBOT.xml too")
         joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
-        path = Path(options.get("into", fitted.bench.source)) if "into" in options or own else None
+        path = Path(options.get("into", fitted.bench.source)) if "into" in options or is_robot else None
         robot = None if path is None else _Robot(path, tuple(joints), options.get("actuator", ACTUATORS[0]))
         asked = bool(options.keys() & {"into", "joint", "actuator"})
-        written, torque = _write_models(fitted, robot, asked)
+        files, torque = _write_models(fitted, robot, asked)
         if "into" in options and path is not None:
-            written[1] = replace(written[1], name=path.name if path.name != FILE else f"robot_{FILE}")
-        for file in written:
+            files[1] = replace(files[1], name=path.name if path.name != FILE else f"robot_{FILE}")
+        for file in files:
             (folder / file.name).write_bytes(file.content)
-        limits = dict.fromkeys(limit for file in written for limit in (*file.limits, *file.notes))
-        moved = (file.difference for file in written if file.difference)
-        return Export(tuple(file.name for file in written), (*moved, *torque), tuple(limits))
+        limits = dict.fromkeys(limit for file in files for limit in (*file.limits, *file.notes))
+        differences = (file.difference for file in files if file.difference)
+        return Export(tuple(file.name for file in files), (*differences, *torque), tuple(limits))
 
 
 class _Robot(NamedTuple):
-    """A robot's file: its path, the names of the joints, and one of `ACTUATORS`."""
-
     path: Path
     joints: tuple[str, ...]
     actuators: str = ACTUATORS[0]
 
 
 def write_identified(fitted: FittedDrive) -> list[ModelFile]:
-    """Write a run's model files for MuJoCo.
-
-    These are the bench and, for a robot, the robot's file with the drive. If that file cannot hold the drive, a warning
-    gives the reason.
-    """
+    """Write a run's model files for MuJoCo: bench and, for a robot, its file; warn if that cannot hold the drive."""
     fitted = fitted.at() if fitted.bench.second_order and fitted.origin is None else fitted
-    own = isinstance(fitted.bench, Robot)
-    robot = _Robot(Path(fitted.bench.source), fitted.bench.joints) if own else None
+    is_robot = isinstance(fitted.bench, Robot)
+    robot = _Robot(Path(fitted.bench.source), fitted.bench.joints) if is_robot else None
     (bench, *others), _ = _write_models(fitted, robot, asked=False)
-    if own and not others:
+    if is_robot and not others:
         _log.warning("%s.xml is the bench alone, not the robot: %s", IDENTIFIED, bench.limits[-1])
-    return [*([bench] if own else []), *(others or [replace(bench, name=f"{IDENTIFIED}.xml")])]
+    return [*([bench] if is_robot else []), *(others or [replace(bench, name=f"{IDENTIFIED}.xml")])]
 
 
 def _write_models(
     fitted: FittedDrive, robot: _Robot | None, asked: bool
 ) -> tuple[list[ModelFile], tuple[Difference, ...]]:
-    """Write the bench and the robot's file, if any, with the drive; also return the torque difference of that file.
-
-    If the robot's file cannot hold the drive, raise if `asked`, else give the reason as the last limit of the bench.
-    """
+    """Write the bench and any robot file, with its torque difference; unless `asked`, a failure becomes a limit."""
     nearest = find_nearest(fitted)
     expected = fitted.predict_origin() if fitted.is_simulated else Prediction(*fitted.rollout())
     bench = _write_bench_file(fitted, nearest, expected)
@@ -107,10 +98,9 @@ def _write_models(
 
 
 def _write_bench_file(fitted: FittedDrive, nearest: Nearest, expected: Prediction) -> ModelFile:
-    """Write the bench, and run it as loaded; its comment states the difference."""
     model = mujoco.MjModel.from_xml_string(write_bench(fitted, nearest))
-    difference, more = play(model, fitted, expected, list_lacks(fitted, nearest, fitted.timestep))
-    limits = (*say_limits(fitted, nearest), *more)
+    difference, play_limits = play(model, fitted, expected, list_lacks(fitted, nearest, fitted.timestep))
+    limits = (*say_limits(fitted, nearest), *play_limits)
     content = write_bench(fitted, nearest, _list_remarks(fitted, nearest, difference, limits)).encode()
     return ModelFile(FILE, content, fitted.timestep, difference, limits)
 
@@ -118,20 +108,20 @@ def _write_bench_file(fitted: FittedDrive, nearest: Nearest, expected: Predictio
 def _write_robot_file(
     fitted: FittedDrive, nearest: Nearest, expected: Prediction, asked: _Robot
 ) -> tuple[ModelFile, Difference]:
-    """Write a robot's file with the drive, and run it as loaded if it is the file of the recorded robot.
-
-    Also return the torque difference of its actuators.
-    """
+    """Write a robot file, and run it if it is the recorded robot; also return its torque difference."""
     text, (path, joints, actuators) = write_bench(fitted, nearest), asked
     robot = put_into(path, joints, actuators, fitted, nearest, text)
     timestep = fitted.timestep if robot.urdf else float(robot.model.opt.timestep)
-    torque, cut = compare_torque(robot, fitted, nearest, actuators == "identified" and not robot.urdf)
-    difference, more = None, ()
+    torque, clipping = compare_torque(robot, fitted, nearest, actuators == "identified" and not robot.urdf)
+    difference, play_limits = None, ()
     if isinstance(fitted.bench, Robot) and asked == _Robot(Path(fitted.bench.source), fitted.bench.joints):
-        why = [*list_lacks(fitted, nearest, timestep), *(["limits of the robot's own actuators"] if cut else [])]
-        difference, more = _play_robot(robot, fitted, nearest, expected, path, text, why)
-    limits = [*say_limits(fitted, nearest, timestep), *robot.notes, *cut]
-    limits = tuple(dict.fromkeys([*limits, *_say_robot(robot, fitted, nearest, actuators), *more]))
+        reasons = [
+            *list_lacks(fitted, nearest, timestep),
+            *(["limits of the robot's own actuators"] if clipping else []),
+        ]
+        difference, play_limits = _play_robot(robot, fitted, nearest, expected, path, text, reasons)
+    limits = [*say_limits(fitted, nearest, timestep), *robot.notes, *clipping]
+    limits = tuple(dict.fromkeys([*limits, *_say_robot(robot, fitted, nearest, actuators), *play_limits]))
     content = robot.commented(*_list_remarks(fitted, nearest, difference, limits)).content
     name = f"{IDENTIFIED}.urdf" if robot.urdf else f"{IDENTIFIED}.xml"
     return ModelFile(name, content, timestep, difference, limits, say_whole(path, robot)), torque
@@ -140,7 +130,6 @@ def _write_robot_file(
 def _play_robot(
     robot: Equipped, fitted: FittedDrive, nearest: Nearest, expected: Prediction, path: Path, bench: str, why: list[str]
 ) -> tuple[Difference | None, tuple[str, ...]]:
-    """Run a robot's file on the test stand; see `play`."""
     if robot.unknown:
         bodies = name_some(robot.unknown)
         return None, (f"It is not played: MuJoCo does not take the inertia of {bodies}, or does not find its mesh.",)
@@ -149,9 +138,9 @@ def _play_robot(
         return None, (f"It is not played: {joints} were not identified and pull at a tendon.",)
     model, place = mount(robot, fitted, nearest, path, bench)
     clipped = ["ctrlrange of the robot's own actuators"] if is_clipped(model, fitted, place) else []
-    difference, why_not = play(model, fitted, expected, [*why, *clipped], place)
-    over = ", the robot's own file on the bench's stand"
-    return difference and replace(difference, over=f"{difference.over}{over}"), why_not
+    difference, failure = play(model, fitted, expected, [*why, *clipped], place)
+    suffix = ", the robot's own file on the bench's stand"
+    return difference and replace(difference, over=f"{difference.over}{suffix}"), failure
 
 
 def _list_remarks(
@@ -166,15 +155,14 @@ def _list_remarks(
 
 
 def _say_robot(robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators: str) -> list[str]:
-    """List the limits of the robot's file, a sentence each."""
     units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
     limits, timestep = [], robot.model.opt.timestep
     if robot.urdf:
         limits.append(f"URDF has no armature: set {armature} {units['inertia']} where the robot is loaded.")
         limits.append("URDF has no actuators and no solreffriction; both are in bench.xml.")
     elif actuators == "keep":
-        said = "The robot's own actuators are kept; armature and friction were identified with that in bench.xml."
-        limits.append(said)
+        limit = "The robot's own actuators are kept; armature and friction were identified with that in bench.xml."
+        limits.append(limit)
     if "position_offset" in fitted.bench.params:
         offset = list_values(fitted.values["bench"]["position_offset"])
         limits.append(f"The recorded positions lack {offset} {units['position']}, which the robot's joints do not.")
@@ -192,8 +180,8 @@ def _say_robot(robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators
 def write_bench(fitted: FittedDrive, nearest: Nearest, remarks: Sequence[str] = ()) -> str:
     """Return the bench's MJCF with these values and the drive's time step, with remarks as comments."""
     loss = nearest.frictionloss if nearest.frictionloss.any() else None  # a constraint of 0 has no effect
-    comments, late = (nearest.remark or say_law(fitted.model), *remarks), write_late(fitted, nearest, fitted.timestep)
-    text = fitted.bench.mjcf({**nearest.bench, **late}, loss, nearest.damping, comments, limited=True)
+    comments, delays = (nearest.remark or say_law(fitted.model), *remarks), write_late(fitted, nearest, fitted.timestep)
+    text = fitted.bench.mjcf({**nearest.bench, **delays}, loss, nearest.damping, comments, limited=True)
     if fitted.integrator == fitted.bench.integrator:
         return text
     file = InPlace.read(text.encode())
@@ -208,14 +196,14 @@ def say_limits(fitted: FittedDrive, nearest: Nearest, timestep: float | None = N
     if not law.needs_state and any(np.any(fitted.segments.signals.inputs[name]) for name in fitted.sampling.commands):
         limits.append("`ctrl` is the command plus (kd ctrl_velocity + ctrl_torque) / kp, as the recordings have them.")
     if law.needs_state:
-        late = (
+        delay = (
             f", from commands that are {list_values(fitted.values['bench']['delay'])} s late"
             if "delay" in fitted.bench.params
             else ""
         )
         limits.append(
             f"MuJoCo's actuator has no {type(law).__name__}: `ctrl` is what the law's controller makes of the command, "
-            f"and the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
+            f"and the caller computes it in each step{delay}, as for the difference above; target=mujoco writes it."
         )
     if fitted.bench.payload is not None:
         limits.append(PAYLOADS)

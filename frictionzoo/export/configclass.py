@@ -33,7 +33,6 @@ class ConfigFile(Target):
 
     Attributes:
         program: Name of the simulator.
-        file: Name of the file.
         head: Docstring of the file.
         module: Module of the configuration classes.
         keyed: Whether `ACTUATORS` is a dict by joint instead of a tuple.
@@ -55,7 +54,7 @@ class ConfigFile(Target):
 
     @abstractmethod
     def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
-        """List the further limits of this program."""
+        """List further limits of this simulator."""
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
@@ -74,8 +73,8 @@ class ConfigFile(Target):
             *("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0]),
             reason=", ".join(list_lacks(fitted, nearest)),
         )
-        said = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives))
-        return Export((self.file,), (difference,), said)
+        limits = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives))
+        return Export((self.file,), (difference,), limits)
 
     def read(self, text: str) -> list[Joint]:
         """Read each joint from a written file, without running it."""
@@ -101,8 +100,8 @@ def list_motor(fitted: FittedDrive, motor: Motor) -> list[Field]:
     if not np.isfinite(motor.saturation_effort):
         limited = np.isfinite(motor.effort_limit)
         return gains + ([Field("effort_limit", motor.effort_limit, units["torque"])] if limited else [])
-    said = (f"{units['torque']}, at standstill", f"{units['velocity']}, without load", units["torque"])
-    return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(_LIMITS, said, strict=True)]
+    limit_units = (f"{units['torque']}, at standstill", f"{units['velocity']}, without load", units["torque"])
+    return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(_LIMITS, limit_units, strict=True)]
 
 
 def list_delay(fitted: FittedDrive, joint: int, *names: str) -> list[Field]:
@@ -112,6 +111,5 @@ def list_delay(fitted: FittedDrive, joint: int, *names: str) -> list[Field]:
 
 
 def _write_call(cls: str, fields: list[Field]) -> str:
-    """Write a call with one keyword and its unit on each line."""
     lines = [f"    {f.name}={write_literal(f.value)}," + (f"  # {f.unit}" if f.unit else "") for f in fields]
     return "\n".join([f"{cls}(", *lines, "),\n"])

@@ -24,13 +24,7 @@ _MEANING = (
 
 @dataclass(frozen=True)
 class Program:
-    """A simulator with events.
-
-    Attributes:
-        file: Name of its file.
-        template: Name of its template in this package.
-        fields: The simulator's name of each quantity, in the order of the changes.
-    """
+    """A simulator with events, and its name of each quantity, in the order of the changes."""
 
     file: str
     template: str
@@ -63,15 +57,7 @@ ISAAC_LAB = Program(
 
 
 class Cell(NamedTuple):
-    """Range of a quantity in a joint.
-
-    Attributes:
-        joint: Name of the joint.
-        low: Lower end, in the unit or as a share.
-        high: Upper end.
-        unit: Unit for a comment; for a share, also the reference value.
-        varies: Whether the quantity varies in this joint.
-    """
+    """Range of a quantity in a joint, in its unit or as shares; for shares, `unit` has the reference value."""
 
     joint: str
     low: Code
@@ -87,21 +73,17 @@ def write_events(
     delays: Mapping[str, tuple[int, int]],
     operation: str,
 ) -> str:
-    """Write the file of a simulator.
+    """Write the file of a simulator; quantities that the simulator does not have are ignored.
 
-    Args:
-        program: The simulator.
-        fitted: The drive.
-        quantities: Quantities of the drawn drives; those that the simulator does not have are ignored.
-        delays: Smallest and largest delay [steps] by joint, where the delay varies.
-        operation: Form of the ranges, one of `OPERATIONS`.
+    `delays` has smallest and largest delay [steps] by joint, where the delay varies; `operation` is one of
+    `OPERATIONS`.
 
     Raises:
         ConfigError: The operation is `scale`, and a quantity is 0.
     """
     joints = fitted.bench.joints
-    own = {one.name: one for one in quantities if one.name in program.fields}
-    varied = [name for name in program.fields if name in own and any(own[name].why)]
+    available = {quantity.name: quantity for quantity in quantities if quantity.name in program.fields}
+    varied = [name for name in program.fields if name in available and any(available[name].why)]
     return render(
         program.template,
         about=textwrap.fill(f"{_MEANING} {_ENTITY}", 110),
@@ -110,18 +92,17 @@ def write_events(
         delays=delays,
         timestep=f"{fitted.timestep:g}",
         count=len(quantities[0].values),
-        changes=[line for name in varied for line in _list_changes(program.fields[name], own[name], fitted)],
+        changes=[line for name in varied for line in _list_changes(program.fields[name], available[name], fitted)],
         operation=operation,
-        cells={name: _list_cells(one, joints, operation) for name, one in own.items()},
+        cells={name: _list_cells(quantity, joints, operation) for name, quantity in available.items()},
         varied=varied,
-        static="joint.static_friction" if "joint.static_friction" in own else "joint.frictionloss",
+        static="joint.static_friction" if "joint.static_friction" in available else "joint.frictionloss",
         friction=[name for name in FRICTION if name in varied],
         gains=[name for name in GAINS if name in varied],
     )
 
 
 def _list_changes(field: str, quantity: Quantity, fitted: FittedDrive) -> Iterator[str]:
-    """Yield a line for each joint in which the quantity varies."""
     for joint, name in enumerate(fitted.bench.joints):
         if why := quantity.why[joint]:
             low, high = quantity.ends[joint]

@@ -32,10 +32,7 @@ _OBSERVED = "Besides, the inputs {names} of the same shape: the friction law loo
 
 
 class Graph(torch.nn.Module):
-    """Copy of a friction model with constant parameters: maps the signals of a `DriveState` to `FrictionTerms`.
-
-    Inputs, outputs and constants have one `dtype`.
-    """
+    """Copy of a friction model with constant parameters of one `dtype`, from state signals to `FrictionTerms`."""
 
     def __init__(self, model: FrictionModel, dtype: torch.dtype) -> None:
         super().__init__()
@@ -95,13 +92,7 @@ def compare(fitted: FittedDrive, came: FrictionTerms, how: str) -> Difference:
 
 
 class GraphFile(Target):
-    """Friction model in one file.
-
-    Attributes:
-        file: Name of the file.
-        runtime: Runtime of the file.
-        remarks: Further remarks for the user, after `LIMITS`.
-    """
+    """Friction model in one file for a runtime; `remarks` to the user follow `LIMITS`."""
 
     options: ClassVar[Mapping[str, str]] = {"dtype": "float64 or float32, of inputs and outputs"}
     instant: ClassVar[bool] = True
@@ -122,11 +113,11 @@ class GraphFile(Target):
         name, model, samples, path = options.get("dtype", "float64"), fitted.model, fitted.samples, folder / self.file
         if name not in DTYPES:
             raise ConfigError(f"dtype={name}: unknown; {closest(name, DTYPES)}")
-        dtype, seen = DTYPES[name], signals(model)
+        dtype, input_names = DTYPES[name], signals(model)
         # A batch of one would be traced as a constant size.
-        rows = {name: torch.ones(2, model.nv, dtype=dtype) for name in seen}
+        rows = {name: torch.ones(2, model.nv, dtype=dtype) for name in input_names}
         write_atomically(path, self.serialise(Graph(model, dtype), rows, fitted))
         inputs = samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()
-        came = FrictionTerms(*(np.asarray(term, np.float64) for term in self.run(path, inputs)))
+        terms = FrictionTerms(*(np.asarray(term, np.float64) for term in self.run(path, inputs)))
         observed = (_OBSERVED.format(names=", ".join(model.inputs)),) if model.inputs else ()
-        return Export((self.file,), (compare(fitted, came, self.runtime),), (*LIMITS, *observed, *self.remarks))
+        return Export((self.file,), (compare(fitted, terms, self.runtime),), (*LIMITS, *observed, *self.remarks))

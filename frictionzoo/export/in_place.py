@@ -20,8 +20,6 @@ class Tag:
     """An element of a file and its position.
 
     Attributes:
-        name: Name of the element.
-        attributes: Attributes as text.
         path: Names of the enclosing elements, the root first.
         owner: The enclosing element; None for the root.
         start: Byte index of the element's beginning.
@@ -40,13 +38,7 @@ class Tag:
 
 @dataclass
 class InPlace:
-    """A file and its changes.
-
-    Attributes:
-        content: Content of the file.
-        tags: All its elements, in order.
-        changes: First byte, byte after the last one, and their replacement.
-    """
+    """A file, its elements in order, and its changes: first byte, byte after the last one, replacement."""
 
     content: bytes
     tags: list[Tag]
@@ -59,18 +51,18 @@ class InPlace:
         Raises:
             expat.ExpatError: The content is not XML.
         """
-        parser, tags, around = expat.ParserCreate(), list[Tag](), list[Tag]()
+        parser, tags, enclosing = expat.ParserCreate(), list[Tag](), list[Tag]()
 
         def begin(name: str, attributes: dict[str, str]) -> None:
             start = parser.CurrentByteIndex
-            found = _START.match(content, start)
-            opened = found.end() if found else start
-            path = tuple(tag.name for tag in around)
-            tags.append(Tag(name, attributes, path, around[-1] if around else None, start, opened))
-            around.append(tags[-1])
+            start_tag = _START.match(content, start)
+            opened = start_tag.end() if start_tag else start
+            path = tuple(tag.name for tag in enclosing)
+            tags.append(Tag(name, attributes, path, enclosing[-1] if enclosing else None, start, opened))
+            enclosing.append(tags[-1])
 
         def end(name: str) -> None:
-            tag = around.pop()
+            tag = enclosing.pop()
             tag.closing = max(tag.opened, parser.CurrentByteIndex)
 
         parser.StartElementHandler, parser.EndElementHandler = begin, end
@@ -81,15 +73,15 @@ class InPlace:
         """Set these attributes of an element; its other attributes stay."""
         text = self.content[tag.start : tag.opened]
         for name, value in attributes.items():
-            said = _encode(f" {name}={quoteattr(value)}")
+            addition = _encode(f" {name}={quoteattr(value)}")
             # Match attribute by attribute: the value of another attribute may contain similar text.
-            old = next((found for found in _ATTRIBUTE.finditer(text) if found[1] == name.encode()), None)
+            old = next((candidate for candidate in _ATTRIBUTE.finditer(text) if candidate[1] == name.encode()), None)
             if old:
                 text = text[: old.start(2)] + _encode(quoteattr(value)) + text[old.end(2) :]
             else:
                 end = re.search(rb"\s*/?>\Z", text)
                 assert end is not None
-                text = text[: end.start()] + said + text[end.start() :]
+                text = text[: end.start()] + addition + text[end.start() :]
         self.changes.append((tag.start, tag.opened, text))
 
     def replace(self, tag: Tag, element: "ET.Element[Any]") -> None:
@@ -111,12 +103,12 @@ class InPlace:
     def append(self, tag: Tag, element: "ET.Element[Any]") -> None:
         """Append an element to another one, on a separate line if the end tag has one."""
         if self.content[: tag.opened].endswith(b"/>"):
-            said = b">" + _write(element) + _encode(f"</{tag.name}>")
-            self.changes.append((tag.opened - 2, tag.opened, said))
+            content = b">" + _write(element) + _encode(f"</{tag.name}>")
+            self.changes.append((tag.opened - 2, tag.opened, content))
             return
         lead = _LAST_LINE.search(self.content[tag.opened : tag.closing])
-        before = tag.closing - len(lead[0]) if lead else tag.closing
-        self.changes.append((before, before, (lead[0] + b"  " if lead else b"") + _write(element)))
+        position = tag.closing - len(lead[0]) if lead else tag.closing
+        self.changes.append((position, position, (lead[0] + b"  " if lead else b"") + _write(element)))
 
     def remark(self, text: str) -> None:
         """Insert a comment at the beginning of the root, on a separate line if the following content has one."""

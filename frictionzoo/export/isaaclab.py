@@ -39,15 +39,15 @@ USD has the limits of torque and velocity that are not here.
 
     def configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
         """See `ConfigFile.configure`."""
-        units, cls, late = UNITS[fitted.bench.joint_type], "DCMotorCfg", []
+        units, cls, delay = UNITS[fitted.bench.joint_type], "DCMotorCfg", []
         if not np.isfinite(motor.saturation_effort):
-            late = list_delay(fitted, joint, "min_delay", "max_delay")
-            cls = "DelayedPDActuatorCfg" if late else "IdealPDActuatorCfg"
+            delay = list_delay(fitted, joint, "min_delay", "max_delay")
+            cls = "DelayedPDActuatorCfg" if delay else "IdealPDActuatorCfg"
         dynamic = nearest.frictionloss[joint]
         return cls, [
             Field("joint_names_expr", [match_joint(fitted.bench.joints[joint])]),
             *list_motor(fitted, motor),
-            *late,
+            *delay,
             Field("armature", nearest.bench["armature"][joint], units["inertia"]),
             Field(
                 "friction", at_rest(fitted, fitted.values, nearest.frictionloss)[joint], f"{units['torque']}, at rest"
@@ -58,7 +58,7 @@ USD has the limits of torque and velocity that are not here.
 
     def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
         """See `ConfigFile.say_more`."""
-        late = max(lag(fitted, joint) for joint in range(fitted.bench.nv))
-        if not late or not np.isfinite(drives[0].saturation_effort):  # DCMotorCfg has no delay
+        steps = max(lag(fitted, joint) for joint in range(fitted.bench.nv))
+        if not steps or not np.isfinite(drives[0].saturation_effort):  # DCMotorCfg has no delay
             return _UNITS, _STICKS
-        return f"DCMotorCfg has no delay: give its commands {late} steps late, as for the difference.", _UNITS, _STICKS
+        return f"DCMotorCfg has no delay: give its commands {steps} steps late, as for the difference.", _UNITS, _STICKS

@@ -27,11 +27,8 @@ class ModelFile:
     """A model file with the drive.
 
     Attributes:
-        name: Name of the file.
-        content: Content of the file.
         timestep: Time step of the loaded model [s].
-        difference: Position difference from the identified drive; None if the file was not run, with the reason in
-            `limits`.
+        difference: Position difference from the identified drive; None if the file was not run, see `limits`.
         limits: Limits of the file and remarks for users, a sentence each.
         notes: Remarks that hold only on this machine, a sentence each; the file and `result.json` do not have them.
     """
@@ -63,35 +60,30 @@ class ModelFile:
 def play(
     model: mujoco.MjModel, fitted: FittedDrive, expected: Prediction, why: list[str], place: Place | None = None
 ) -> tuple[Difference | None, tuple[str, ...]]:
-    """Run a loaded model over the long test rollouts.
+    """Run a loaded model over the long test rollouts, and compare it with the drive's rollouts.
 
-    Args:
-        model: The compiled file; payloads are added to it.
-        fitted: The identified drive.
-        expected: Its rollouts.
-        why: Reasons for a difference, in a few words each.
-        place: Indices of the joints in the model; None for the bench's MJCF.
+    Payloads are added to `model`. `why` lists reasons for a difference. Without `place`, the model is the bench's MJCF.
 
     Returns:
         The position difference; or None, and a sentence with the reason.
     """
-    sound = ~expected.diverged
-    if not sound.any():
+    stable = ~expected.diverged
+    if not stable.any():
         return None, (f"It is not compared with the fitted drive, which diverges in all of its {fitted.over}.",)
-    came = run_loaded(model, fitted, place)
-    lost = sound & ~np.isfinite(came).all(axis=(1, 2))
-    if lost.any():
-        return None, (f"As loaded, it diverges in {lost.sum()} of {fitted.over}: do not use it.",)
-    over = None if sound.all() else f"{sound.sum()} of {fitted.over}, in which the drive does not diverge"
-    return measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why)), ()
+    qpos = run_loaded(model, fitted, place)
+    diverged = stable & ~np.isfinite(qpos).all(axis=(1, 2))
+    if diverged.any():
+        return None, (f"As loaded, it diverges in {diverged.sum()} of {fitted.over}: do not use it.",)
+    over = None if stable.all() else f"{stable.sum()} of {fitted.over}, in which the drive does not diverge"
+    return measure("qpos", fitted, qpos[stable], expected.qpos[stable], over, ", ".join(why)), ()
 
 
 def is_clipped(model: mujoco.MjModel, fitted: FittedDrive, place: Place) -> bool:
     """Return whether the model's actuators clip the recorded commands."""
-    law, signals = fitted.bench.actuator, fitted.segments.signals
-    if law.needs_state:
+    actuator, signals = fitted.bench.actuator, fitted.segments.signals
+    if actuator.needs_state:
         return False
-    command = law.combine(fitted.values["bench"], signals.ctrl, signals.inputs)
+    command = actuator.combine(fitted.values["bench"], signals.ctrl, signals.inputs)
     low, high = model.actuator_ctrlrange[place.actuator].T
     return bool((model.actuator_ctrllimited[place.actuator] & ((command < low) | (command > high))).any())
 
@@ -103,14 +95,14 @@ def read_error(fitted: FittedDrive) -> float | None:
 
 def say_difference(fitted: FittedDrive, difference: Difference) -> str:
     """Describe the difference of a file from the drive, for the file's comment."""
-    played = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
+    prefix = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
     if difference.largest <= EXACT:
-        return f"{played} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
+        return f"{prefix} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
     error = read_error(fitted)
     share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
     reason = f": {difference.reason}" if difference.reason else ""
     return (
-        f"{played} its positions differ from the identified drive's by {difference.mean:.3g} {difference.unit} in the "
+        f"{prefix} its positions differ from the identified drive's by {difference.mean:.3g} {difference.unit} in the "
         f"mean{share} and {difference.largest:.3g} {difference.unit} at most{reason}."
     )
 
@@ -121,9 +113,9 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest, timestep: float) -> list[s
     if say_delay(fitted, timestep):
         lacks.append("a delay below one step is a filter")
     continuous = fitted.is_simulated
-    own = fitted.origin.timestep if fitted.origin is not None and not continuous else fitted.timestep
-    if not np.isclose(timestep, own, rtol=1e-6):
-        lacks.append(f"steps of {timestep:g} s in place of {own:g} s")
+    drive_timestep = fitted.origin.timestep if fitted.origin is not None and not continuous else fitted.timestep
+    if not np.isclose(timestep, drive_timestep, rtol=1e-6):
+        lacks.append(f"steps of {timestep:g} s in place of {drive_timestep:g} s")
     elif continuous:
         lacks.append(f"steps of {timestep:g} s in place of continuous time")
     return lacks
@@ -135,13 +127,13 @@ def say_delay(fitted: FittedDrive, timestep: float) -> list[str]:
     if fitted.bench.actuator.needs_state:  # the caller delays the commands
         return []
     delays = stretch(delays, timestep) if fitted.integrator == RK4 else delays
-    each = zip(fitted.bench.joints, map(float, delays), strict=False)
-    filtered = [(joint, delay) for joint, delay in each if is_filtered(delay, timestep)]
+    joint_delays = zip(fitted.bench.joints, map(float, delays), strict=False)
+    filtered = [(joint, delay) for joint, delay in joint_delays if is_filtered(delay, timestep)]
     if not filtered:
         return []
     joints = "" if len(filtered) == fitted.bench.nv else f" of {name_some([joint for joint, _ in filtered])}"
-    said = ", ".join(dict.fromkeys(f"{delay:.4g}" for _, delay in filtered))
+    listed = ", ".join(dict.fromkeys(f"{delay:.4g}" for _, delay in filtered))
     return [
-        f"MuJoCo's actuators delay commands by one step or more: the delay of {said} s{joints} is a filter with the "
+        f"MuJoCo's actuators delay commands by one step or more: the delay of {listed} s{joints} is a filter with the "
         f"same lag in steps of {timestep:g} s. Its `act` begins at 0: set `act` to `ctrl` where a simulation is reset."
     ]

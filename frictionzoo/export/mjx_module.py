@@ -47,13 +47,13 @@ class Mjx(Target):
 def _run(folder: Path, fitted: FittedDrive) -> Float[np.ndarray, "batch time nv"]:
     module: Any = load_module(folder / MODULE)
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
-    segments, remembers = fitted.segments, fitted.model.memory > 0
+    segments, has_memory = fitted.segments, fitted.model.memory > 0
 
     def act(before: Signals, signals: Signals) -> tuple[Any, Any, Mapping[str, Any]]:
         now = Signals(signals.ctrl, {name: signals.inputs[name] for name in before.inputs})
         before = jax.tree.map(lambda old, new: jnp.concatenate([old[1:], new[None]]), before, now)
-        late = before.map(lambda command: module.late(command, fitted.timestep))
-        return before, late.ctrl, signals.inputs | late.inputs | signals.observed
+        delayed = before.map(lambda command: module.late(command, fitted.timestep))
+        return before, delayed.ctrl, signals.inputs | delayed.inputs | signals.observed
 
     @jax.jit
     def rollout(model: mjx.Model, data: mjx.Data, driven: tuple[Signals, Signals]) -> Any:
@@ -61,27 +61,31 @@ def _run(folder: Path, fitted: FittedDrive) -> Float[np.ndarray, "batch time nv"
             before, *drive = state
             before, *acting = act(before, signals)
             drive = module.step(model, *drive, *acting)
-            data, *memory = drive if remembers else (drive,)
+            data, *memory = drive if has_memory else (drive,)
             return (before, data, *memory), data.qpos
 
         now, before = driven
-        memory = [module.reset(model, data, *act(before, now.map(itemgetter(0)))[1:])] if remembers else []
+        memory = [module.reset(model, data, *act(before, now.map(itemgetter(0)))[1:])] if has_memory else []
         return jax.lax.scan(step, (before, data, *memory), now)[1]
 
-    found = []
+    positions = []
     for number in range(segments.count):
         if segments.load is not None:
             fitted.bench.put_load(model, segments.load[number])
         on_device = mjx.put_model(model)
         data = mjx.make_data(on_device)
         data = data.replace(qpos=jnp.asarray(segments.qpos[number, 0]), qvel=jnp.asarray(segments.qvel[number, 0]))
-        found.append(np.asarray(rollout(on_device, data, _signals(fitted, number, module.steps_kept(fitted.timestep)))))
+        positions.append(
+            np.asarray(rollout(on_device, data, _signals(fitted, number, module.steps_kept(fitted.timestep))))
+        )
     substeps = fitted.sampling.substeps
-    return np.stack(found)[:, substeps - 1 :: substeps]
+    return np.stack(positions)[:, substeps - 1 :: substeps]
 
 
 def _signals(fitted: FittedDrive, number: int, kept: int) -> tuple[Signals, Signals]:
     """Return the signals of each step of a rollout, and the commands in the `kept` steps before it."""
     now = fitted.acting(late=False).map(lambda signal: jnp.asarray(signal[number].reshape(-1, fitted.bench.nv)))
-    held = commands_before(fitted, number)
-    return now, held.map(lambda of: jnp.asarray(np.concatenate([np.repeat(of[:1], kept, axis=0), of])[-kept:]))
+    commands = commands_before(fitted, number)
+    return now, commands.map(
+        lambda command: jnp.asarray(np.concatenate([np.repeat(command[:1], kept, axis=0), command])[-kept:])
+    )

@@ -23,12 +23,7 @@ WEIGHTS = "weights.npz"
 def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
     """Write a module and, for a network, a file with its weights; return the names of the files.
 
-    Args:
-        fitted: The drive.
-        folder: Folder for the files.
-        template: Name of a template of this package.
-        name: Name of the module's file.
-        more: Further variables of the template.
+    `more` has further variables of the template.
 
     Raises:
         ExportError: The model cannot be written as source text.

@@ -63,7 +63,6 @@ class Joint(NamedTuple):
     """One joint of a configuration file.
 
     Attributes:
-        motor: Position controller and motor.
         armature: [kg m^2 or kg].
         frictionloss: [N m or N].
         damping: Viscous friction [N m s/rad or N s/m].
@@ -81,8 +80,8 @@ def read_inputs(fitted: FittedDrive, options: Mapping[str, str]) -> dict[str, fl
     """Return inputs of the actuator model, such as gain and supply: given values, or medians over the test rollouts."""
     names = fitted.bench.actuator.inputs
     medians = {name: float(np.median(signal)) for name, signal in fitted.segments.acting.inputs.items()}
-    given = {name: read_number(options, name) for name in INPUTS}
-    return medians | {name: value for name, value in given.items() if value is not None and name in names}
+    requested = {name: read_number(options, name) for name in INPUTS}
+    return medians | {name: value for name, value in requested.items() if value is not None and name in names}
 
 
 def motors(fitted: FittedDrive, inputs: Mapping[str, float]) -> list[Motor]:
@@ -100,15 +99,15 @@ def motors(fitted: FittedDrive, inputs: Mapping[str, float]) -> list[Motor]:
 def _constant_gains(fitted: FittedDrive) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the recorded gains of each joint; raise ExportError if they change, or if kp is not positive."""
     gains = {name: fitted.segments.acting.inputs[name] for name in ("kp", "kd")}
-    for name, of in gains.items():
-        low, high = of.min(axis=(0, 1)), of.max(axis=(0, 1))
+    for name, recorded in gains.items():
+        low, high = recorded.min(axis=(0, 1)), recorded.max(axis=(0, 1))
         if (high > low).any() or (name == "kp" and (low <= 0).any()):
             joint = int(np.argmax((high > low) | (low <= 0)))
             raise ExportError(
                 f"{name} of {fitted.bench.joints[joint]} is {low[joint]:g} to {high[joint]:g} in the recordings, "
                 "expected one gain above 0, as a configuration has it; write target=mujoco or mjx"
             )
-    return {name: of[0, 0] for name, of in gains.items()}
+    return {name: recorded[0, 0] for name, recorded in gains.items()}
 
 
 def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, float]) -> Motor:
@@ -125,8 +124,8 @@ def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, floa
         # A limited voltage and back-EMF give a DC motor's torque-speed line; its slope equals the damping.
         per_duty = values["kt_over_r"] * inputs["supply"]
         stall = per_duty * values["duty_limit"]
-        back = values["kt2_over_r"]
-        return Motor(per_duty * inputs["gain"] * values["duty_gain"], back, stall, stall / back, _NEVER * stall)
+        damping = values["kt2_over_r"]
+        return Motor(per_duty * inputs["gain"] * values["duty_gain"], damping, stall, stall / damping, _NEVER * stall)
     name = type(law).__name__
     raise ExportError(f"the bench's actuator is a {name}, expected a position-controlled one; write target=mjcf")
 
@@ -135,15 +134,15 @@ def lag(fitted: FittedDrive, joint: int) -> int:
     """Return the command delay in whole simulation steps."""
     if "delay" not in fitted.values["bench"]:
         return 0
-    known = fitted.sampling.history * fitted.sampling.substeps
-    return min(round(float(fitted.values["bench"]["delay"][joint]) / fitted.timestep), known)
+    longest = fitted.sampling.history * fitted.sampling.substeps
+    return min(round(float(fitted.values["bench"]["delay"][joint]) / fitted.timestep), longest)
 
 
 def run_joints(fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
     """Simulate the long test rollouts in MuJoCo C with a configuration file's joints and `nearest`'s offset."""
     delay = np.array([joint.lag * fitted.timestep for joint in joints])
-    late = {"delay": delay} if "delay" in fitted.values["bench"] else {}
-    written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **late}})
+    delays = {"delay": delay} if "delay" in fitted.values["bench"] else {}
+    written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **delays}})
     return simulate(_compile(fitted, nearest, joints), written, _step(fitted, joints))
 
 
@@ -160,11 +159,11 @@ def _compile(fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint]) -> 
 def aim(fitted: FittedDrive, drives: Sequence[Motor]) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
     """Return a function from a drive's signals to desired positions [rad or m] that include all other commands."""
     law = fitted.bench.actuator
-    told = isinstance(law, JointPD | RecordedPD)
+    combined = isinstance(law, JointPD | RecordedPD)
     gains = {**fitted.values["bench"], **(_constant_gains(fitted) if isinstance(law, RecordedPD) else {})}
-    pull = fitted.values["bench"].get("torque_offset", 0.0)
-    moved = pull / np.array([drive.stiffness for drive in drives])
-    return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
+    offset = fitted.values["bench"].get("torque_offset", 0.0)
+    shift = offset / np.array([drive.stiffness for drive in drives])
+    return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if combined else signals.ctrl) + shift
 
 
 def _step(fitted: FittedDrive, joints: Sequence[Joint]) -> Step:
@@ -181,68 +180,67 @@ def _step(fitted: FittedDrive, joints: Sequence[Joint]) -> Step:
 
 
 def list_lacks(fitted: FittedDrive, nearest: Nearest) -> list[str]:
-    """List in a few words each why a configuration moves differently than the drive."""
+    """List in a few words each why a configuration moves differently from the drive."""
     acting, values = fitted.segments.acting.inputs, fitted.values["bench"]
     varied = [name for name in INPUTS if name in acting and np.ptp(acting[name]) > 0]
-    said = [nearest.lacks] if nearest.lacks else []
-    if any(lag(fitted, joint) * fitted.timestep != late for joint, late in enumerate(values.get("delay", ()))):
-        said.append("delays are whole steps")
-    said += [f"one {' and one '.join(varied)} of several"] if varied else []
+    reasons = [nearest.lacks] if nearest.lacks else []
+    if any(lag(fitted, joint) * fitted.timestep != delay for joint, delay in enumerate(values.get("delay", ()))):
+        reasons.append("delays are whole steps")
+    reasons += [f"one {' and one '.join(varied)} of several"] if varied else []
     if "enable" in acting and (acting["enable"] != 1).any():
-        said.append("the servo is always enabled")
-    return said + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
+        reasons.append("the servo is always enabled")
+    return reasons + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
 
 
 def say_common(fitted: FittedDrive, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
     """List the limits common to the configuration files of all simulators; `program` is the simulator's name."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
-    said = [
+    limits = [
         f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
         "of their class in MuJoCo C.",
         *([nearest.remark] if nearest.remark else []),
     ]
-    said += _say_commands(fitted)
+    limits += _say_commands(fitted)
     if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
-        said.append(
+        limits.append(
             f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain. Braking adds "
             "back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that reason."
         )
     if "delay" in values:
         delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values["delay"]))
         rounded = ", ".join(delays)
-        said.append(f"Delays are whole steps of {fitted.timestep:g} s: {rounded}.")
+        limits.append(f"Delays are whole steps of {fitted.timestep:g} s: {rounded}.")
     if "position_offset" in values:
         listed = list_values(values["position_offset"])
-        said.append(
+        limits.append(
             f"The position offset, {listed} {units['position']}, is not in the file: add it to measured positions and "
             "to commands."
         )
     if "torque_offset" in values:
         listed = list_values(values["torque_offset"])
-        said.append(
+        limits.append(
             f"The constant torque, {listed} {units['torque']}, is not in the file: add it, divided by the stiffness, "
             "to position targets, as for the difference."
         )
-    return said
+    return limits
 
 
 def _say_commands(fitted: FittedDrive) -> list[str]:
-    """List the limits of such configurations for a robot's commands and torque limits."""
-    law, values, said = fitted.bench.actuator, fitted.values["bench"], []
+    law, values, limits = fitted.bench.actuator, fitted.values["bench"], []
     if not isinstance(law, JointPD | RecordedPD):
-        return said
-    driven = [name for name in ("ctrl_velocity", "ctrl_torque") if np.any(fitted.segments.acting.inputs[name])]
-    if driven:
-        said.append(
-            f"The recordings have {' and '.join(driven)}: give ctrl + (kd ctrl_velocity + ctrl_torque) / kp as "
+        return limits
+    feedforward = [name for name in ("ctrl_velocity", "ctrl_torque") if np.any(fitted.segments.acting.inputs[name])]
+    if feedforward:
+        limits.append(
+            f"The recordings have {' and '.join(feedforward)}: give ctrl + (kd ctrl_velocity + ctrl_torque) / kp as "
             "position target, as for the difference, with kp and kd as they were commanded."
         )
     if (values["torque_gain"] != 1).any():
         listed = list_values(values["torque_gain"])
-        said.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
+        limits.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
     if "torque_low" in values:
-        said.append("The torque's range is not symmetrical; limits in the file are those of its upper end.")
+        limits.append("The torque's range is not symmetrical; limits in the file are those of its upper end.")
     if "torque_saturation" in values:
-        said.append("It has no smooth saturation: the torque that this approaches is a hard limit in the file.")
-    return said
+        limits.append("It has no smooth saturation: the torque that this approaches is a hard limit in the file.")
+    return limits

@@ -41,7 +41,6 @@ class Nearest:
     """A drive with MuJoCo's joint friction.
 
     Attributes:
-        bench: Values of the bench's parameters.
         frictionloss: [N m or N].
         damping: [N m s/rad or N s/m].
         remark: Description of the approximation and its loss of accuracy; empty for MuJoCo's friction model.
@@ -58,9 +57,9 @@ class Nearest:
 def find_nearest(fitted: FittedDrive) -> Nearest:
     """Return the drive with MuJoCo's friction, refitted in joints with another friction model.
 
-    The initial values are the least-squares friction over the measured states. From there, armature, frictionloss and
-    damping are fitted together to the fitted drive's long rollouts. If these diverge, the initial values are the
-    result, and the remark says so.
+    Armature, frictionloss and damping are fitted together to the drive's long rollouts, starting from the least-squares
+    friction over the measured states. If the rollouts diverge, the initial values are the result, and the remark says
+    so.
     """
     model, bench, samples = fitted.model, dict(fitted.values["bench"]), _forget_inputs(fitted)
     velocity, terms = samples.qvel, evaluate_law(model, samples)
@@ -71,10 +70,10 @@ def find_nearest(fitted: FittedDrive) -> Nearest:
     dry, damping = nearest_frictionloss_and_damping(torque, velocity)
     start = np.where(exact, loss[0], dry), np.where(exact, viscous[0], damping)
     try:
-        followed = fitted.follow(fitted.segments)
+        rollouts = fitted.follow(fitted.segments)
     except RunError:
-        left = torque - sliding_torque(np, FrictionTerms(frictionloss=start[0], damping=start[1]), velocity)
-        rms, unit = _list(np.sqrt(np.square(left).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
+        residual = torque - sliding_torque(np, FrictionTerms(frictionloss=start[0], damping=start[1]), velocity)
+        rms, unit = _list(np.sqrt(np.square(residual).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
         return Nearest(
             *(bench, *start),
             f"A frictionloss and a damping are no {_name(fitted, exact)}, and the fitted drive diverges in its own "
@@ -82,26 +81,28 @@ def find_nearest(fitted: FittedDrive) -> Nearest:
             f"the measured states, from which they differ by {rms} {unit} RMS.{_say_others(model, exact)}",
             _lack(fitted, exact),
         )
-    return _refit(fitted, followed, *start, exact)
+    return _refit(fitted, rollouts, *start, exact)
 
 
 def find_nearest_each(fitted: FittedDrive, draws: Sequence[Values]) -> list[Nearest]:
     """Return drawn drives, which differ from the fitted one only in values, with MuJoCo's friction.
 
     In joints with another friction model, armature, frictionloss and damping are refitted to the rollouts of each drawn
-    drive. These refits use the fitted gains, delay and offset; the result has the drawn ones.
+    drive, with the fitted gains, delay and offset; the result has the drawn ones.
 
     Raises:
         ExportError: A drive diverges, or the refits take too long.
     """
     model, samples = fitted.model, _forget_inputs(fitted)
     exact, *_ = _find_exact(evaluate_law(model, samples), samples.qvel)
-    once = samples.map(lambda signal: signal[:1])
-    found = []
+    instant = samples.map(lambda signal: signal[:1])
+    drives = []
     for values in draws:
-        _, loss, viscous = (np.zeros(once.qvel.shape) if t is None else t for t in evaluate_law(model, once, values))
-        found.append(_take_exact(model, dict(values["bench"]), loss[0], viscous[0]))
-    return found if exact.all() else _refit_each(fitted, found, draws, exact)
+        _, loss, viscous = (
+            np.zeros(instant.qvel.shape) if t is None else t for t in evaluate_law(model, instant, values)
+        )
+        drives.append(_take_exact(model, dict(values["bench"]), loss[0], viscous[0]))
+    return drives if exact.all() else _refit_each(fitted, drives, draws, exact)
 
 
 def _forget_inputs(fitted: FittedDrive) -> DriveState:
@@ -122,23 +123,22 @@ def _find_exact(
 def _refit_each(
     fitted: FittedDrive, start: Sequence[Nearest], draws: Sequence[Values], exact: Bool[np.ndarray, "nv"]
 ) -> list[Nearest]:
-    """Refit armature, frictionloss and damping of each drawn drive in the joints that are not exact."""
     _refuse_long(fitted, len(draws), exact)
-    centre, found = find_nearest(fitted), list[Nearest]()
+    centre, drives = find_nearest(fitted), list[Nearest]()
     with jax.enable_x64(True):
-        first, rollout = _pose(fitted, _follow(fitted), centre.frictionloss, centre.damping, exact)
-        near = first.starting(_descend(first)[0])
-        for own, values in zip(start, draws, strict=True):
-            followed = _follow(fitted, _mix(fitted, values, exact))
-            objective = copy.copy(near)
-            objective.data = into_blocks(followed, divide(followed), near.space.start.dtype, rollout)
+        nominal, rollout = _pose(fitted, _follow(fitted), centre.frictionloss, centre.damping, exact)
+        template = nominal.starting(_descend(nominal)[0])
+        for initial, values in zip(start, draws, strict=True):
+            rollouts = _follow(fitted, _mix(fitted, values, exact))
+            objective = copy.copy(template)
+            objective.data = into_blocks(rollouts, divide(rollouts), template.space.start.dtype, rollout)
             vector, rms = _descend(objective)
             armature, loss, damping = _read(objective, vector)
-            kept = ((own.bench["armature"], armature), (own.frictionloss, loss), (own.damping, damping))
-            armature, loss, damping = (np.where(exact, drawn, refitted) for drawn, refitted in kept)
-            said = _say_drawn(fitted, rms, exact), _lack(fitted, exact)
-            found.append(Nearest({**own.bench, "armature": armature}, loss, damping, *said))
-    return found
+            pairs = ((initial.bench["armature"], armature), (initial.frictionloss, loss), (initial.damping, damping))
+            armature, loss, damping = (np.where(exact, drawn, refitted) for drawn, refitted in pairs)
+            texts = _say_drawn(fitted, rms, exact), _lack(fitted, exact)
+            drives.append(Nearest({**initial.bench, "armature": armature}, loss, damping, *texts))
+    return drives
 
 
 def _follow(fitted: FittedDrive, values: Values | None = None) -> Segments:
@@ -162,15 +162,14 @@ def _read(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> tup
 
 
 def _refuse_long(fitted: FittedDrive, count: int, exact: Bool[np.ndarray, "nv"]) -> None:
-    """Raise ExportError if the refits take too long."""
     segments, nv = fitted.segments, fitted.bench.nv
-    each = segments.count * segments.length * fitted.sampling.substeps * nv * (1 + 3 * int((~exact).sum()))
-    if count * each > MOST_STEPS:
-        fewer = int(MOST_STEPS / each)
-        some = f"draw at most {fewer}, or " if fewer else ""
+    steps = segments.count * segments.length * fitted.sampling.substeps * nv * (1 + 3 * int((~exact).sum()))
+    if count * steps > MOST_STEPS:
+        fewer = int(MOST_STEPS / steps)
+        advice = f"draw at most {fewer}, or " if fewer else ""
         raise ExportError(
             f"{_name(fitted, exact)}: MuJoCo's joints have no such friction, and {count} refits of {nv} joints over "
-            f"{fitted.over} take too long; {some}take a law that they have: python -m frictionzoo.distill RUN "
+            f"{fitted.over} take too long; {advice}take a law that they have: python -m frictionzoo.distill RUN "
             "model=mujoco_default"
         )
 
@@ -186,20 +185,20 @@ def _mix(fitted: FittedDrive, values: Values, exact: Bool[np.ndarray, "nv"]) -> 
 
 def _descend(objective: Objective) -> tuple[Float[np.ndarray, "coordinates"], float]:
     """Minimise the objective from its initial vector; return the solution and the root mean square distance."""
-    evaluate, space, seen = objective.compile_normal_equations(), objective.space, list[NormalEquations]()
+    evaluate, space, evaluations = objective.compile_normal_equations(), objective.space, list[NormalEquations]()
     low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
 
     def unit() -> float:
-        return seen[0].loss or 1.0  # makes tolerances relative to the initial loss
+        return evaluations[0].loss or 1.0  # makes tolerances relative to the initial loss
 
     def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
-        seen.append(evaluate(vector))
-        return compress(seen[-1], unit())[0]
+        evaluations.append(evaluate(vector))
+        return compress(evaluations[-1], unit())[0]
 
-    found = least_squares(
+    solution = least_squares(
         residuals,
         np.clip(start, low, high),
-        jac=lambda vector: compress(seen[-1], unit())[1],  # pyright: ignore[reportArgumentType] - one of its kinds
+        jac=lambda vector: compress(evaluations[-1], unit())[1],  # pyright: ignore[reportArgumentType] - one of its kinds
         bounds=(low, high),
         x_scale="jac",
         ftol=_CLOSE,
@@ -207,7 +206,7 @@ def _descend(objective: Objective) -> tuple[Float[np.ndarray, "coordinates"], fl
         gtol=_CLOSE,
         max_nfev=_ITERATIONS,
     )
-    return found.x, float(np.sqrt(2 * found.cost * unit()))
+    return solution.x, float(np.sqrt(2 * solution.cost * unit()))
 
 
 def _refit(
@@ -220,8 +219,8 @@ def _refit(
     with jax.enable_x64(True):
         objective, _ = _pose(fitted, followed, loss, damping, exact)
         progress, _ = search(LevenbergMarquardt(_ITERATIONS, 1e-8), objective)
-        found = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
-    bench, friction = dict(found["bench"]), found["friction"]
+        values = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
+    bench, friction = dict(values["bench"]), values["friction"]
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
     remark = _say(fitted, bench["armature"], before, after, exact)
     return Nearest(bench, friction["frictionloss"], friction["damping"], remark, _lack(fitted, exact))
@@ -234,10 +233,7 @@ def _pose(
     damping: Float[np.ndarray, "nv"],
     exact: Bool[np.ndarray, "nv"],
 ) -> tuple[Objective, Rollout]:
-    """Return the fit of MuJoCo's friction to these rollouts, from these initial values, and its simulation.
-
-    The loss is the mean square position difference; exact joints are fixed.
-    """
+    """Pose the fit of MuJoCo's friction to rollouts by the mean square position difference; exact joints are fixed."""
     bench, free = fitted.bench.restarted(fitted.values["bench"]), (~exact).tolist()
     bench.params["armature"] = replace(bench.params["armature"], identify=tuple(free))
     torque = float(np.std(fitted.samples.motor_torque)) or 1.0
@@ -318,10 +314,7 @@ def nearest_frictionloss_and_damping(
 
 
 def evaluate_law(model: FrictionModel, samples: DriveState, values: Values | None = None) -> FrictionTerms:
-    """Evaluate a friction model on numpy samples of shape (samples, nv); each term is a float64 array or None.
-
-    `values` replace the parameters of the model.
-    """
+    """Evaluate a model, with `values` if given, on numpy samples (samples, nv); terms are float64 or None."""
     double = copy.deepcopy(model).double()
     if values is not None:
         double.load_state_dict({name: torch.as_tensor(value) for name, value in values["friction"].items()})

@@ -61,7 +61,6 @@ def _without_traces(proto: Any) -> Any:
 
 
 def _describe(proto: Any, fitted: FittedDrive) -> Any:
-    """Add the metadata, and the unit of each input and output."""
     facts, units = list_facts(fitted), list_units(fitted)
     proto.producer_name, proto.producer_version = "frictionzoo", __version__
     proto.doc_string = f"Friction law {facts['law']}: {facts['sampling']}. {facts['use']}"

@@ -33,8 +33,6 @@ Drive = tuple[FittedDrive, Nearest]
 
 
 class _Asked(NamedTuple):
-    """Options of the target."""
-
     ranges: Ranges
     count: int
     files: int
@@ -63,19 +61,19 @@ class Randomisation(Target):
         """See `Target.write`."""
         asked = _read(fitted, options)
         variants = draw_variants(fitted, asked.count, asked.seed, asked.ranges)
-        nominal, each = find_nearest(fitted), find_nearest_each(fitted, variants.all)
-        taken = list_quantities(variants, nominal, each, read_inputs(fitted, options))
-        quantities, delays = (*variants.parameters, *taken), _list_delays(variants)
+        nominal, refitted = find_nearest(fitted), find_nearest_each(fitted, variants.all)
+        joint_quantities = list_quantities(variants, nominal, refitted, read_inputs(fitted, options))
+        quantities, delays = (*variants.parameters, *joint_quantities), _list_delays(variants)
         write_samples(folder / SAMPLES, fitted, quantities, asked.seed)
         for program in (MJLAB, ISAAC_LAB):
             text = write_events(program, fitted, quantities, delays, asked.operation)
             compile(text, program.file, "exec")
             (folder / program.file).write_text(text, encoding="utf-8")
-        some = [replace(fitted, values=variants.at(number)) for number in range(asked.files)]
-        drives = [(fitted, nominal), *zip(some, each[: asked.files], strict=True)]
-        files, said = write_files(folder, drives)
-        differences, apart = _run_benches(drives)
-        limits = (*say_limits(fitted, nominal), *said, apart, *_say(variants, taken, delays))
+        drawn = [replace(fitted, values=variants.at(number)) for number in range(asked.files)]
+        drives = [(fitted, nominal), *zip(drawn, refitted[: asked.files], strict=True)]
+        files, remarks = write_files(folder, drives)
+        differences, spread = _run_benches(drives)
+        limits = (*say_limits(fitted, nominal), *remarks, spread, *_say(variants, joint_quantities, delays))
         return Export((SAMPLES, MJLAB.file, ISAAC_LAB.file, *files), differences, limits)
 
 
@@ -104,85 +102,86 @@ def write_samples(path: Path, fitted: FittedDrive, quantities: Sequence[Quantity
     and `units` their units. `nominal`, `low` and `high`, of shape (quantities, nv), are the values of the fitted drive
     and the ranges. `seed` is the seed of the draws.
     """
-    arrays = {"seed": np.array(seed), **{one.name: one.values for one in quantities}}
-    arrays |= {"joints": np.array(fitted.bench.joints), "names": np.array([one.name for one in quantities])}
-    arrays |= {"units": np.array([one.unit for one in quantities])}
-    arrays |= {"nominal": np.array([one.nominal for one in quantities])}
-    arrays |= {end: np.array([one.ends[:, i] for one in quantities]) for i, end in enumerate(("low", "high"))}
+    arrays = {"seed": np.array(seed), **{quantity.name: quantity.values for quantity in quantities}}
+    arrays |= {"joints": np.array(fitted.bench.joints), "names": np.array([quantity.name for quantity in quantities])}
+    arrays |= {"units": np.array([quantity.unit for quantity in quantities])}
+    arrays |= {"nominal": np.array([quantity.nominal for quantity in quantities])}
+    arrays |= {end: np.array([quantity.ends[:, i] for quantity in quantities]) for i, end in enumerate(("low", "high"))}
     np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType] - a keyword is a name here
 
 
 def _list_delays(variants: Variants) -> dict[str, tuple[int, int]]:
     """Return smallest and largest delay by joint where it varies, rounded outwards to whole steps."""
-    fitted, found = variants.fitted, {}
+    fitted, delays = variants.fitted, {}
     for parameter in variants.parameters:
         for joint, name in enumerate(fitted.bench.joints) if parameter.name == "bench.delay" else ():
             if parameter.why[joint]:
                 low, high = parameter.ends[joint] / fitted.timestep
-                found[name] = (int(np.floor(low + _WHOLE)), int(np.ceil(high - _WHOLE)))
-    return found
+                delays[name] = (int(np.floor(low + _WHOLE)), int(np.ceil(high - _WHOLE)))
+    return delays
 
 
 def write_files(folder: Path, drives: Sequence[Drive]) -> tuple[list[str], tuple[str, ...]]:
     """Write the MJCF of each drive, or the robot's file for a robot; return their names, and remarks."""
     (folder / FOLDER).mkdir()
     fitted, names = drives[0][0], [NOMINAL, *(f"{FOLDER}/{number:03d}" for number in range(len(drives) - 1))]
-    suffix, contents, said = ".xml", [write_bench(*drive).encode() for drive in drives], tuple[str, ...]()
+    suffix, contents, remarks = ".xml", [write_bench(*drive).encode() for drive in drives], tuple[str, ...]()
     if isinstance(fitted.bench, Robot):
         try:
-            suffix, contents, said = _put_into_robot(drives)
+            suffix, contents, remarks = _put_into_robot(drives)
         except FrictionzooError as error:
-            said = (f"The files are the bench alone, not the robot's own: {error}.",)
+            remarks = (f"The files are the bench alone, not the robot's own: {error}.",)
     for name, content in zip(names, contents, strict=True):
         (folder / f"{name}{suffix}").write_bytes(content)
-    return [f"{name}{suffix}" for name in names], said
+    return [f"{name}{suffix}" for name in names], remarks
 
 
 def _put_into_robot(drives: Sequence[Drive]) -> tuple[str, list[bytes], tuple[str, ...]]:
-    """Put each drive into the robot's file; return file extension, contents, and remarks."""
     path = Path(drives[0][0].bench.source)
     robots = [
         put_into(path, fitted.bench.joints, ACTUATORS[0], fitted, nearest, write_bench(fitted, nearest))
         for fitted, nearest in drives
     ]
-    said = robots[0].notes
+    remarks = robots[0].notes
     if b"file=" in robots[0].content or b"filename=" in robots[0].content:
-        said += ("The robot's files refer to others (meshes) as the original does: put them where that lies.",)
-    return (".urdf" if robots[0].urdf else ".xml"), [robot.commented().content for robot in robots], said
+        remarks += ("The robot's files refer to others (meshes) as the original does: put them where that lies.",)
+    return (".urdf" if robots[0].urdf else ".xml"), [robot.commented().content for robot in robots], remarks
 
 
 def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
-    """Compare the files with the drives in MuJoCo C, and describe the spread of the drives."""
     fitted = drives[0][0]
-    came = [run_loaded(mujoco.MjModel.from_xml_string(write_bench(*drive)), drive[0]) for drive in drives]
-    laws = [fitted.rollout(values=drive.values)[0] for drive, _ in drives]
-    drawn, of_laws = np.array(came[1:]), np.array(laws[1:])
+    positions = [run_loaded(mujoco.MjModel.from_xml_string(write_bench(*drive)), drive[0]) for drive in drives]
+    expected = [fitted.rollout(values=drive.values)[0] for drive, _ in drives]
+    drawn, drawn_expected = np.array(positions[1:]), np.array(expected[1:])
     over = f"{len(drawn)} draws of them, each against itself"
     differences = (
-        measure("qpos", fitted, came[0], laws[0], reason=drives[0][1].lacks),
-        measure("qpos", fitted, drawn, of_laws, over, drives[0][1].lacks),
+        measure("qpos", fitted, positions[0], expected[0], reason=drives[0][1].lacks),
+        measure("qpos", fitted, drawn, drawn_expected, over, drives[0][1].lacks),
     )
     unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result["metrics"]["test"]["position_mae"]
-    own = "" if error is None else f"; the fitted drive's test error is {error:.2g} {unit} in the mean"
+    test_error = "" if error is None else f"; the fitted drive's test error is {error:.2g} {unit} in the mean"
     return differences, (
         f"Positions of the {len(drawn)} drives in {FOLDER}/ are {drawn.std(axis=0).mean():.2g} {unit} apart (standard "
-        f"deviation, mean over {fitted.over}) and {np.ptp(drawn, axis=0).max():.2g} {unit} at most{own}."
+        f"deviation, mean over {fitted.over}) and {np.ptp(drawn, axis=0).max():.2g} {unit} at most{test_error}."
     )
 
 
 def _say(variants: Variants, taken: Sequence[Quantity], delays: Mapping[str, tuple[int, int]]) -> list[str]:
-    """List the limits of the events."""
-    own = [one.name.partition(".")[2] for one in variants.parameters if one.name.startswith("bench.")]
-    in_motor = any(one.name == "actuator.stiffness" for one in taken)
-    beside = [name for name in own if name in _OFFSETS or not (in_motor or name in ("armature", "delay"))]
-    beside += [name for one in taken if (name := one.name.partition(".")[2]) in _LIMITS]
-    said = [
+    bench_names = [
+        quantity.name.partition(".")[2] for quantity in variants.parameters if quantity.name.startswith("bench.")
+    ]
+    in_motor = any(quantity.name == "actuator.stiffness" for quantity in taken)
+    missing = [name for name in bench_names if name in _OFFSETS or not (in_motor or name in ("armature", "delay"))]
+    missing += [name for quantity in taken if (name := quantity.name.partition(".")[2]) in _LIMITS]
+    limits = [
         "mjlab and Isaac Lab themselves were not run.",
         "A 95 % interval says how well these recordings fix the values of this law on this unit; other units, "
         "payloads, temperatures and days are not in it: hold them by ranges.",
     ]
-    if beside:
-        said.append(f"Only {SAMPLES} and the MJCF files have {', '.join(beside)}: the programs have no event for them.")
+    if missing:
+        limits.append(
+            f"Only {SAMPLES} and the MJCF files have {', '.join(missing)}: the programs have no event for them."
+        )
     if delays:
-        said.append("The programs draw the delay by themselves, in whole steps and apart from all else: DELAYS.")
-    return said
+        limits.append("The programs draw the delay by themselves, in whole steps and apart from all else: DELAYS.")
+    return limits

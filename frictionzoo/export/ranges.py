@@ -18,12 +18,8 @@ def list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[dic
     """Return group and ranges of a joint's actuator as attributes of an actuator without class and gear, and remarks.
 
     The command range stays, in the unit of the new actuator, if both actuators take positions or both take torques. If
-    a position controller replaces a motor, the motor's command range limits the force.
-
-    Args:
-        before: The robot.
-        joint: Name of its joint.
-        law: Attributes `gainprm` and `biasprm` of the new actuator.
+    a position controller replaces a motor, the motor's command range limits the force. `law` has the new `gainprm` and
+    `biasprm`.
     """
     model, index = before.model, before.model.joint(joint).id
     of_joint = np.isin(model.actuator_trntype, _AT_JOINT) & (model.actuator_trnid[:, 0] == index)
@@ -38,7 +34,6 @@ def list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[dic
 
 
 def _convert(read: ReadActuator, gain: float, bias1: float, bias2: float) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Convert command and force ranges to an actuator with these coefficients; also return remarks."""
     ctrl, force = np.array(read.ctrlrange), np.array(read.forcerange)
     if read.bias1 and bias1:
         return _ordered(ctrl * (read.gain / read.bias1) * (bias1 / gain)), force, []
@@ -59,10 +54,10 @@ def _ordered(ends: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
 
 def _as_attributes(ctrl: Float[np.ndarray, "2"], force: Float[np.ndarray, "2"], group: int) -> dict[str, str]:
     """Write all limits explicitly, to override the robot's defaults."""
-    said = {"group": str(group)} if group else {}
+    attributes = {"group": str(group)} if group else {}
     for name, ends in (("ctrl", ctrl), ("force", force)):
         limited = bool(np.isfinite(ends).all())
-        said[f"{name}limited"] = str(limited).lower()
+        attributes[f"{name}limited"] = str(limited).lower()
         if limited:
-            said[f"{name}range"] = " ".join(map(in_full, ends))
-    return said
+            attributes[f"{name}range"] = " ".join(map(in_full, ends))
+    return attributes

@@ -40,9 +40,7 @@ class Equipped:
     """A robot's file with identified joints.
 
     Attributes:
-        content: The file.
-        urdf: Whether it is URDF, else MJCF.
-        joints: Names of the identified joints.
+        urdf: Whether the file is URDF, else MJCF.
         column: Column of each joint in the drive's values.
         model: The compiled file with all joints and actuators, without meshes, sensors and keyframes.
         remark: The changes, for a comment in the file.
@@ -60,14 +58,13 @@ class Equipped:
     unknown: tuple[str, ...]
 
     def commented(self, *sentences: str) -> "Equipped":
-        """Return the robot with a comment at the top of the file: the changes, and these sentences."""
+        """Return the robot with a comment at the top of the file: the changes, then these sentences."""
         file = InPlace.read(self.content)
         file.remark(" ".join([self.remark, *sentences]))
         return replace(self, content=file.write())
 
 
 def _refuse_inertia(path: Path, fitted: FittedDrive) -> None:
-    """Raise ExportError if inertias or gravity of the identified drive differ from its file."""
     if fitted.bench.inertia and path == Path(fitted.bench.source):
         links = ", ".join(list(fitted.bench.inertia)[:3])
         raise ExportError(
@@ -85,19 +82,11 @@ def _refuse_inertia(path: Path, fitted: FittedDrive) -> None:
 def put_into(
     path: Path, joints: Sequence[str], actuators: str, fitted: FittedDrive, nearest: Nearest, bench: str
 ) -> Equipped:
-    """Put the drive into joints of a robot's file, and leave all other bytes unchanged.
+    """Put the drive into joints of a robot's MJCF or URDF, and leave all other bytes unchanged.
 
-    Meshes may be missing. The result is read back and checked; it has no comment yet. For a drive from `at`, an MJCF
-    also gets the time step and the integrator.
-
-    Args:
-        path: File of the robot, MJCF or URDF.
-        joints: Names of its joints. A drive with one joint is put into each of them; a drive with several joints needs
-            as many names.
-        actuators: `identified` replaces or adds the joints' actuators, `keep` leaves them.
-        fitted: The drive.
-        nearest: The drive with MuJoCo's joint friction.
-        bench: The bench's MJCF with these values.
+    A drive with one joint is put into each named joint; a drive with several joints needs as many names. `actuators` is
+    `identified`, which replaces or adds the joints' actuators, or `keep`. For a drive from `at`, an MJCF also gets the
+    time step and the integrator. Meshes may be missing. The result is read back and checked; it has no comment yet.
 
     Raises:
         ConfigError: The file or a joint does not exist, or an option is invalid.
@@ -122,17 +111,19 @@ def put_into(
             _write_dynamics(file, tags[name], nearest, fitted.bench.own_damping, column)
             continue
         general = template.findall("./actuator/general")[column]
-        own = next(element for element in template.iter("joint") if element.get("name") == general.get("joint"))
-        file.set(tags[name], {attribute: own.get(attribute, "0") for attribute in _JOINT})
+        template_joint = next(
+            element for element in template.iter("joint") if element.get("name") == general.get("joint")
+        )
+        file.set(tags[name], {attribute: template_joint.get(attribute, "0") for attribute in _JOINT})
         if actuators == "identified":
             law = describe_law(fitted, nearest, column, general, timestep)
             notes += _write_actuator(file, path, name, law, before)
-    what = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
+    changed = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
     remark = nearest.remark or say_law(fitted.model)
-    said = f"frictionzoo: {'dynamics' if urdf else what} of {_say_joints(joints)} identified. {remark}"
+    comment = f"frictionzoo: {'dynamics' if urdf else changed} of {_say_joints(joints)} identified. {remark}"
     after = load(str(path), file.write())
     _refuse_keys(file, path, before.model, after.model)
-    changes = said, tuple(dict.fromkeys(notes)), _list_unknown(after, joints)
+    changes = comment, tuple(dict.fromkeys(notes)), _list_unknown(after, joints)
     robot = Equipped(file.write(), urdf, tuple(joints), columns, after.model, *changes)
     _refuse_unlike(after, robot, fitted, nearest, actuators == "identified" and not urdf)
     return robot
@@ -143,21 +134,18 @@ def compare_torque(
 ) -> tuple[Difference, tuple[str, ...]]:
     """Compare the torque of the file's actuators and damping with the drive's, in MuJoCo C at recorded states.
 
-    Without identified `actuators`, compare only the damping.
-
-    Returns:
-        The difference; and a sentence if limits of the robot contribute to it.
+    Without identified `actuators`, compare only the damping. Also return a sentence if limits of the robot contribute.
     """
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)
     expected = -(nearest.damping + fitted.bench.own_damping) * states.qvel + (states.motor_torque if actuators else 0.0)
     rows = [states.map(lambda signal, row=row: signal[row, column]) for row in range(len(expected))]
     rows = [state._replace(qpos=state.qpos + offset_of(fitted)[column]) for state in rows]
-    came = [_torque_in(robot, data, state, actuators) for state in rows]
-    what = "actuator and damping" if actuators else "damping"
-    over = f"{what} of {_say_joints(robot.joints)} in {len(expected)} recorded states"
-    said = _say_cut(robot, states.motor_torque[:, column]) if actuators else ()
-    return measure("torque", fitted, np.array(came), expected[:, column], over), said
+    torque = [_torque_in(robot, data, state, actuators) for state in rows]
+    parts = "actuator and damping" if actuators else "damping"
+    over = f"{parts} of {_say_joints(robot.joints)} in {len(expected)} recorded states"
+    clipping = _say_cut(robot, states.motor_torque[:, column]) if actuators else ()
+    return measure("torque", fitted, np.array(torque), expected[:, column], over), clipping
 
 
 def offset_of(fitted: FittedDrive) -> Float[np.ndarray, "nv"]:
@@ -166,7 +154,7 @@ def offset_of(fitted: FittedDrive) -> Float[np.ndarray, "nv"]:
 
 
 def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tuple[str, ...]:
-    """Count the states in which force limits of the robot act, which the bench does not have."""
+    """Count the states in which force limits of the robot act; the bench has none."""
     model, cut = robot.model, np.zeros(len(torque), bool)
     ids = [model.joint(name).id for name in robot.joints]
     limits = [(model.jnt_actfrcrange[ids], model.jnt_actfrclimited[ids], ids)]
@@ -174,10 +162,10 @@ def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tup
     for ranges, limited, owners in limits:
         for (low, high), acts, joint in zip(ranges, limited, owners, strict=True):
             if acts and joint in ids:
-                own = torque[:, ids.index(joint)]
-                cut |= (own < low - _ROUNDING * abs(low)) | (own > high + _ROUNDING * abs(high))
-    lasting = "the robot's own limits of force, which bench.xml has not"
-    return (f"In {cut.sum()} of {len(cut)} recorded states {lasting}, cut the torque.",) if cut.any() else ()
+                joint_torque = torque[:, ids.index(joint)]
+                cut |= (joint_torque < low - _ROUNDING * abs(low)) | (joint_torque > high + _ROUNDING * abs(high))
+    limits_text = "the robot's own limits of force, which bench.xml has not"
+    return (f"In {cut.sum()} of {len(cut)} recorded states {limits_text}, cut the torque.",) if cut.any() else ()
 
 
 def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
@@ -211,12 +199,11 @@ def _pick_states(fitted: FittedDrive) -> DriveState:
     signals = fitted.acting().map(lambda signal: signal[:, :, 0].reshape(-1, bench.nv))
     state = samples.qpos, samples.qvel
     ctrl = bench.actuator.control(np, fitted.values["bench"], *state, signals.ctrl, signals.inputs)
-    every = max(1, len(samples.qpos) // _STATES)
-    return samples._replace(ctrl=ctrl).map(lambda signal: np.asarray(signal)[::every])
+    stride = max(1, len(samples.qpos) // _STATES)
+    return samples._replace(ctrl=ctrl).map(lambda signal: np.asarray(signal)[::stride])
 
 
 def _torque_in(robot: Equipped, data: mujoco.MjData, state: DriveState, actuators: bool) -> Float[np.ndarray, "joints"]:
-    """Return the torque of the identified joints' actuators and dampers in one state."""
     model = robot.model
     ids = [model.joint(name).id for name in robot.joints]
     dof = model.jnt_dofadr[ids]
@@ -241,8 +228,8 @@ def _read(path: Path) -> tuple[InPlace, bool]:
     try:
         file = InPlace.read(path.read_bytes())
     except (OSError, expat.ExpatError) as error:
-        why = error.strerror if isinstance(error, OSError) else f"not XML ({error})"
-        raise ConfigError(f"into={path}: {why}; expected an MJCF or URDF file; name one") from None
+        reason = error.strerror if isinstance(error, OSError) else f"not XML ({error})"
+        raise ConfigError(f"into={path}: {reason}; expected an MJCF or URDF file; name one") from None
     root = file.tags[0].name
     if root not in ("mujoco", "robot"):
         raise ConfigError(f"into={path}: <{root}>, expected <mujoco> (MJCF) or <robot> (URDF); name such a file")
@@ -257,7 +244,6 @@ def _is_joint(tag: Tag) -> bool:
 
 
 def _match(path: Path, joints: Sequence[str], found: Sequence[str], fitted: FittedDrive) -> tuple[int, ...]:
-    """Return the column of the drive's values for each joint."""
     for name in joints:
         if name not in found:
             raise ConfigError(f"joint={name}: no such joint in {path}; {closest(name, found)}")
@@ -286,16 +272,16 @@ def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str]
 
 
 def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np.ndarray, column: int) -> None:
-    """Write friction and damping of a URDF joint, and the armature as a comment, since URDF has no place for it."""
-    said = {
+    """Write friction and damping of a URDF joint, and the armature as a comment, since URDF has no armature."""
+    attributes = {
         "damping": in_full(nearest.damping[column] + own_damping[column]),
         "friction": in_full(nearest.frictionloss[column]),
     }
     dynamics = next((tag for tag in file.tags if tag.owner is joint and tag.name == "dynamics"), None)
     if dynamics is None:
-        file.append(joint, ET.Element("dynamics", said))
+        file.append(joint, ET.Element("dynamics", attributes))
     else:
-        file.set(dynamics, said)
+        file.set(dynamics, attributes)
     armature = in_full(nearest.bench["armature"][column])
     file.append(joint, ET.Comment(f" armature {armature}: URDF has no place for it "))
 
@@ -319,30 +305,30 @@ def describe_law(
 
 def write_late(fitted: FittedDrive, nearest: Nearest, timestep: float) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the delays [s] of the actuators for this time step [s]; empty without a delay."""
-    late = {name: value for name, value in nearest.bench.items() if name == "delay"}
-    return {name: stretch(value, timestep) for name, value in late.items()} if fitted.integrator == RK4 else late
+    delays = {name: value for name, value in nearest.bench.items() if name == "delay"}
+    return {name: stretch(value, timestep) for name, value in delays.items()} if fitted.integrator == RK4 else delays
 
 
 def set_option(file: InPlace, fitted: FittedDrive) -> None:
     """Write time step and integrator of the drive into the `option` element of an MJCF."""
-    said = {"timestep": in_full(fitted.timestep), "integrator": fitted.integrator}
+    attributes = {"timestep": in_full(fitted.timestep), "integrator": fitted.integrator}
     options = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "option"]
     for tag in options:
-        file.set(tag, said)
+        file.set(tag, attributes)
     if not options:
-        file.append(file.tags[0], ET.Element("option", said))
+        file.append(file.tags[0], ET.Element("option", attributes))
 
 
 def _change_option(file: InPlace, option: mujoco.MjOption, fitted: FittedDrive) -> list[str]:
     """Write time step and integrator if the file has others; return a sentence on the change."""
-    own, wanted = mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"), fitted.integrator
+    current, wanted = mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"), fitted.integrator
     # Parameters for implicitfast also hold for implicit.
-    if np.isclose(option.timestep, fitted.timestep, rtol=1e-6) and wanted.lower().startswith(own.lower()):
+    if np.isclose(option.timestep, fitted.timestep, rtol=1e-6) and wanted.lower().startswith(current.lower()):
         return []
     set_option(file, fitted)
     return [
         f"Its <option> has timestep {fitted.timestep:g} and integrator {wanted}, which the parameters are for, in "
-        f"place of {option.timestep:g} and {own}; the options timestep and integrator choose others."
+        f"place of {option.timestep:g} and {current}; the options timestep and integrator choose others."
     ]
 
 
@@ -350,30 +336,32 @@ def _list_unknown(after: Source, joints: Sequence[str]) -> tuple[str, ...]:
     """Name the bodies moved by these joints whose inertia MuJoCo rejects, or whose mesh is missing."""
     model, ids, moved = after.model, {after.model.joint(name).id for name in joints}, np.zeros(after.model.nbody, bool)
     for body in range(1, model.nbody):
-        first = model.body_jntadr[body]
-        own = ids & set(range(first, first + model.body_jntnum[body]))
-        moved[body] = moved[model.body_parentid[body]] or bool(own)
+        start = model.body_jntadr[body]
+        identified = ids & set(range(start, start + model.body_jntnum[body]))
+        moved[body] = moved[model.body_parentid[body]] or bool(identified)
     return tuple(after.name(body) for body in np.flatnonzero(moved & ~after.compiled).tolist())
 
 
 def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], before: Source) -> list[str]:
     """Write a joint's actuator with these attributes into an MJCF, within the limits of the robot's actuator."""
     sections = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "actuator"]
-    inside = [tag for tag in file.tags if any(tag.owner is section for section in sections)]
-    old = [tag for tag in inside if joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))]
-    rubbing = [tag for tag in old if tag.name == "dcmotor" and tag.attributes.get("input") == "none"]
-    for tag in rubbing:  # the identified friction includes its friction
+    elements = [tag for tag in file.tags if any(tag.owner is section for section in sections)]
+    old = [tag for tag in elements if joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))]
+    friction_motors = [tag for tag in old if tag.name == "dcmotor" and tag.attributes.get("input") == "none"]
+    for tag in friction_motors:  # the identified friction includes its friction
         file.remove(tag)
-    old = [tag for tag in old if tag not in rubbing]
+    old = [tag for tag in old if tag not in friction_motors]
     if len(old) > 1:
         raise ConfigError(f"joint={joint}: {len(old)} actuators, expected one at most; set actuator=keep")
-    kept = {key: old[0].attributes[key] for key in ("name",) if key in old[0].attributes} if old else {"name": joint}
+    identity = (
+        {key: old[0].attributes[key] for key in ("name",) if key in old[0].attributes} if old else {"name": joint}
+    )
     limits, notes = list_limits(before, joint, law)
-    if rubbing:
+    if friction_motors:
         notes.append(
             f"The <dcmotor> of joint {joint} without a command is left out: what was identified is its friction."
         )
-    new = ET.Element("general", {**kept, "joint": joint, **limits, **_PLAIN, **law})
+    new = ET.Element("general", {**identity, "joint": joint, **limits, **_PLAIN, **law})
     if old:
         file.replace(old[0], new)
     elif sections:
@@ -386,7 +374,7 @@ def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], 
 
 
 def _refuse_keys(file: InPlace, path: Path, before: mujoco.MjModel, after: mujoco.MjModel) -> None:
-    """Refuse keyframes with another number of commands or activations, which MuJoCo does not accept."""
+    # MuJoCo rejects keyframes with another number of commands or activations.
     for attribute, number, now in (("ctrl", before.nu, after.nu), ("act", before.na, after.na)):
         keys = [tag for tag in file.tags if tag.name == "key" and attribute in tag.attributes]
         if keys and number != now:
@@ -414,12 +402,12 @@ def _refuse_unlike(after: Source, robot: Equipped, fitted: FittedDrive, nearest:
     if actuators:
         law, read = _meant(fitted, nearest), read_actuators(after, ids)
         for name in Affine._fields:
-            found = np.array([getattr(actuator, name, np.nan) for actuator in read])
-            pairs[f"{name} of the actuator"] = getattr(law, name), found
-    for what, (meant, found) in pairs.items():
-        for name, value, wanted in zip(robot.joints, found, meant[list(robot.column)], strict=True):
+            actual = np.array([getattr(actuator, name, np.nan) for actuator in read])
+            pairs[f"{name} of the actuator"] = getattr(law, name), actual
+    for quantity, (expected, actual) in pairs.items():
+        for name, value, wanted in zip(robot.joints, actual, expected[list(robot.column)], strict=True):
             if not np.isclose(value, wanted, rtol=_SAME, atol=0):
                 raise ExportError(
-                    f"into={after.path}: {what} of joint {name} comes out as {value:.6g}, expected {wanted:.6g}: "
+                    f"into={after.path}: {quantity} of joint {name} comes out as {value:.6g}, expected {wanted:.6g}: "
                     "defaults or actuators of the file add to it; remove that from there"
                 )

@@ -52,27 +52,22 @@ class Sdf(Target):
         text = write_sdf(fitted, nearest, in_links)
         (folder / FILE).write_text(text, encoding="utf-8")
         spec, inertia = read_sdf(text)
-        came = run_links(spec, fitted, nearest, [inertia.get(joint, 0.0) for joint in fitted.bench.joints])
+        qpos = run_links(spec, fitted, nearest, [inertia.get(joint, 0.0) for joint in fitted.bench.joints])
         lacks = ", ".join(
             filter(None, (nearest.lacks, "rotors turn with their links" if in_links and fitted.bench.nv > 1 else ""))
         )
-        difference = measure("qpos", fitted, came, fitted.rollout()[0], reason=lacks)
-        said = (
+        difference = measure("qpos", fitted, qpos, fitted.rollout()[0], reason=lacks)
+        remarks = (
             "Gazebo and Drake were not run: the difference is that of the file's numbers, read back, in MuJoCo, with "
             f"{'what it has in its links' if in_links else 'its drake:rotor_inertia as armature'} and the bench's "
             "actuator.",
             "The actuator is left out: the caller computes its force or torque from the recorded commands.",
         )
-        return Export((FILE,), (difference,), (*say_lacks(fitted, nearest, in_links), *said))
+        return Export((FILE,), (difference,), (*say_lacks(fitted, nearest, in_links), *remarks))
 
 
 def write_sdf(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> str:
-    """Write the file; a joint has the frame of its link.
-
-    Args:
-        fitted: The drive.
-        nearest: The drive with MuJoCo's joint friction.
-        in_links: Whether the armature is added to the links instead of the joints.
+    """Write the file; a joint has the frame of its link. With `in_links`, links instead of joints have the armature.
 
     Raises:
         ExportError: The links cannot represent the armature, or SDFormat the bench.
@@ -84,19 +79,15 @@ def write_sdf(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> 
     links = read_links(fitted, nearest)
     names = _name_links(links)
     for link in links:
-        named = link._replace(name=names[link.name], parent=names[link.parent])
-        own = armature.get(link.joint)
-        _add_link(model, _load(named, own, fitted) if in_links and own is not None else named)
-        _add_joint(model, named, None if in_links else own)
+        renamed = link._replace(name=names[link.name], parent=names[link.parent])
+        joint_armature = armature.get(link.joint)
+        _add_link(model, _load(renamed, joint_armature, fitted) if in_links and joint_armature is not None else renamed)
+        _add_joint(model, renamed, None if in_links else joint_armature)
     return write_xml(root)
 
 
 def _name_links(links: Sequence[Link]) -> dict[str, str]:
-    """Choose unique names of links: in SDFormat, unlike MuJoCo, a link and a joint cannot share a name.
-
-    Raises:
-        ExportError: SDFormat does not allow a name.
-    """
+    """Choose unique names of links: in SDFormat, unlike MuJoCo, a link and a joint cannot share a name."""
     joints, names = {link.joint for link in links}, {WORLD: WORLD}
     taken = joints | {link.name for link in links}
     for link in links:
@@ -147,8 +138,7 @@ def _add_link(model: ET.Element, link: Link) -> None:
 
 
 def _add_joint(model: ET.Element, link: Link, armature: float | None) -> None:
-    """Add a joint without limits, which are optional in SDFormat."""
-    joint = ET.SubElement(model, "joint", name=link.joint, type=_KINDS[link.kind])
+    joint = ET.SubElement(model, "joint", name=link.joint, type=_KINDS[link.kind])  # limits are optional in SDFormat
     ET.SubElement(joint, "parent").text = link.parent
     ET.SubElement(joint, "child").text = link.name
     if link.kind != "fixed":

@@ -23,13 +23,9 @@ Step = Callable[[mujoco.MjModel, mujoco.MjData, Signals], None]
 
 @dataclass(frozen=True)
 class Place:
-    """Indices of the identified joints in a model.
+    """Indices of the identified joints' positions, velocities, commands and actuators in a model.
 
     Attributes:
-        qpos: Index of each joint's position.
-        dof: Index of each joint's velocity.
-        ctrl: Index of the command of each joint's actuator.
-        actuator: Index of each joint's actuator.
         offset: The model's position minus the recorded one [rad or m].
         put_load: Puts the payload of a row of `Segments.load` into the model.
     """
@@ -43,9 +39,9 @@ class Place:
 
     @classmethod
     def of_bench(cls, fitted: FittedDrive) -> "Place":
-        """Return the indices for the bench's MJCF, which has only these joints, and recorded positions."""
-        each = np.arange(fitted.bench.nv)
-        return cls(each, each, each, each, np.zeros(fitted.bench.nv), fitted.bench.put_load)
+        """Return the indices for the bench's MJCF, which has only these joints, without offset."""
+        joints = np.arange(fitted.bench.nv)
+        return cls(joints, joints, joints, joints, np.zeros(fitted.bench.nv), fitted.bench.put_load)
 
 
 def simulate(
@@ -58,13 +54,8 @@ def simulate(
 ) -> Float[np.ndarray, "batch time nv"]:
     """Simulate the long test rollouts with the model's time step.
 
-    Args:
-        model: The compiled model; payloads are put into it.
-        fitted: The drive of the rollouts.
-        step: One time step.
-        prepare: Called with a rollout's number at its initial state.
-        late: Whether `step` gets commands delayed by the bench's delay.
-        place: Indices of the joints in the model; None for the bench's MJCF.
+    Payloads are put into `model`. `prepare` is called with a rollout's number at its initial state. If `late`, `step`
+    gets commands delayed by the bench's delay. Without `place`, the model is the bench's MJCF.
 
     Returns:
         Positions after each sample, without `Place.offset`; NaN in rollouts that diverge according to MuJoCo.
@@ -107,8 +98,8 @@ def _without_log() -> Iterator[None]:
 def _steps_a_sample(fitted: FittedDrive, timestep: float) -> float:
     """Return the number of time steps [s] in a recorded sample, rounded if it is nearly whole."""
     steps = fitted.segments.timestep / timestep
-    whole = max(1.0, float(round(steps)))
-    return whole if abs(steps / whole - 1) <= _WHOLE else steps
+    rounded = max(1.0, float(round(steps)))
+    return rounded if abs(steps / rounded - 1) <= _WHOLE else steps
 
 
 def _held(fitted: FittedDrive, timestep: float, step: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
@@ -119,19 +110,16 @@ def _held(fitted: FittedDrive, timestep: float, step: Int[np.ndarray, "..."]) ->
 
 
 def _act(fitted: FittedDrive, timestep: float, late: bool) -> Signals:
-    """Return the signals of each step of the long test rollouts, each of shape (batch, steps, nv).
-
-    Like `frictionzoo.simulation.rollout.applied`, for any time step [s].
-    """
+    """Return the signals (batch, steps, nv) of each step, like `simulation.rollout.applied` for any time step [s]."""
     per_sample, joint = _steps_a_sample(fitted, timestep), np.arange(fitted.bench.nv)
     step = np.arange(int(np.ceil(fitted.segments.length * per_sample - _ROUNDING)))[:, None]
     delay = fitted.values["bench"].get("delay", np.zeros(1)) if late else np.zeros(1)
     begins = step - delay / fitted.segments.timestep * per_sample
-    whole = np.floor(begins).astype(int)
-    later, (first, second) = begins - whole, (_held(fitted, timestep, whole + after) for after in (0, 1))
+    earlier = np.floor(begins).astype(int)
+    share, (first, second) = begins - earlier, (_held(fitted, timestep, earlier + after) for after in (0, 1))
 
     def delayed(signal: Float[np.ndarray, "batch samples nv"]) -> Float[np.ndarray, "batch steps nv"]:
-        return (1 - later) * signal[:, first, joint] + later * signal[:, second, joint]
+        return (1 - share) * signal[:, first, joint] + share * signal[:, second, joint]
 
     signals = fitted.recorded.signals.map(lambda signal: np.asarray(signal, np.float64))
     now = signals.map(lambda signal: signal[:, _held(fitted, timestep, step), joint])
@@ -143,10 +131,10 @@ def _at_samples(
     states: Float[np.ndarray, "instants 2 nv"], fitted: FittedDrive, timestep: float
 ) -> Float[np.ndarray, "time nv"]:
     """Interpolate positions at the recorded samples, by cubics through positions and velocities of the steps."""
-    at = _steps_a_sample(fitted, timestep) * np.arange(1, fitted.segments.length + 1)
-    first = np.floor(at + _ROUNDING).astype(int)
-    start, end = states[first], states[np.minimum(first + 1, len(states) - 1)]
-    share = np.maximum(at - first, 0.0)[:, None]
+    instants = _steps_a_sample(fitted, timestep) * np.arange(1, fitted.segments.length + 1)
+    before = np.floor(instants + _ROUNDING).astype(int)
+    start, end = states[before], states[np.minimum(before + 1, len(states) - 1)]
+    share = np.maximum(instants - before, 0.0)[:, None]
     blend = share**2 * (3 - 2 * share)
     bend = share * (1 - share) * ((1 - share) * start[:, 1] - share * end[:, 1])
     return (1 - blend) * start[:, 0] + blend * end[:, 0] + timestep * bend
@@ -176,12 +164,8 @@ def run_loaded(
     `ctrl` is the recorded command, or several commands combined, and the model's actuators delay it. If the actuator
     model needs the state, the caller computes the controller in each step from delayed commands.
 
-    Args:
-        model: The compiled model.
-        fitted: The drive of the rollouts.
-        place: Indices of the joints in the model; None for the bench's MJCF.
-        begin: Called with a rollout's number before it begins.
-        late: Whether the caller delays the commands; None: only if the actuator model needs the state.
+    `begin` is called with a rollout's number before it begins. `late` states whether the caller delays the commands;
+    None: only if the actuator model needs the state. Without `place`, the model is the bench's MJCF.
     """
     place = Place.of_bench(fitted) if place is None else place
     law, values = fitted.bench.actuator, fitted.values["bench"]
@@ -195,7 +179,6 @@ def run_loaded(
         mujoco.mj_step(model, data)
 
     def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
-        """Write the commands before the first state into the history of MuJoCo's delayed actuators."""
         begin(data, rollout)
         signals = fitted.segments.signals.map(itemgetter(rollout))
         command = np.asarray(law.combine(values, signals.ctrl, signals.inputs), np.float64)
@@ -205,19 +188,17 @@ def run_loaded(
                 data.act[model.actuator_actadr[actuator]] = command[before, joint]
             if count := int(model.actuator_history[actuator, 0]):
                 steps = np.arange(-count, 0)
-                known = command[_held(fitted, model.opt.timestep, steps), joint]
-                mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
+                # MuJoCo's delayed actuators start with the commands before the first state.
+                history = command[_held(fitted, model.opt.timestep, steps), joint]
+                mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, history)
 
     late = law.needs_state if late is None else late
     return simulate(model, fitted, step, prepare, late, place)
 
 
 def commands_before(fitted: FittedDrive, rollout: int) -> Signals:
-    """Return the commands of the steps before the first state of a rollout, the newest last; at least one step.
-
-    Each has shape (steps, nv); `inputs` has only commands.
-    """
+    """Return commands (steps, nv) before a rollout's first state, the newest last; at least one step."""
     segments = fitted.segments
     inputs = {name: segments.signals.inputs[name] for name in fitted.sampling.commands}
-    known = Signals(segments.signals.ctrl, inputs).map(lambda signal: signal[rollout, : max(segments.history, 1)])
-    return known.map(lambda signal: np.repeat(signal, fitted.sampling.substeps, axis=0))
+    commands = Signals(segments.signals.ctrl, inputs).map(lambda signal: signal[rollout, : max(segments.history, 1)])
+    return commands.map(lambda signal: np.repeat(signal, fitted.sampling.substeps, axis=0))

@@ -25,7 +25,6 @@ class Link(NamedTuple):
     """A link and the joint that holds it.
 
     Attributes:
-        name: Name of the link.
         parent: Name of its parent link, or `WORLD`.
         pos: Position of its frame in the parent's [m].
         rpy: Rotation of its frame about the parent's fixed axes x, y, z [rad].
@@ -57,8 +56,7 @@ def read_links(fitted: FittedDrive, nearest: Nearest) -> list[Link]:
     """Read the links of the bench, with MuJoCo's joint friction.
 
     Raises:
-        ExportError: The bench is no tree of links with one joint each: it has several joints in a body, an equality or
-            a tendon.
+        ExportError: The bench has several joints in a body, an equality or a tendon.
     """
     model = mujoco.MjModel.from_xml_string(write_bench(fitted, nearest))
     if (model.body_jntnum > 1).any() or model.neq or model.ntendon:
@@ -67,7 +65,8 @@ def read_links(fitted: FittedDrive, nearest: Nearest) -> list[Link]:
             "write target=mjcf"
         )
     bodies, joints = (
-        {of(at).name for at in range(n)} for of, n in ((model.body, model.nbody), (model.joint, model.njnt))
+        {get(index).name for index in range(count)}
+        for get, count in ((model.body, model.nbody), (model.joint, model.njnt))
     )
     names = [model.body(body).name or find_free_name(f"link{body}", bodies) for body in range(model.nbody)]
     fixed = [find_free_name(f"{name}_fixed", joints) for name in names]
@@ -84,23 +83,23 @@ def find_free_name(name: str, taken: set[str]) -> str:
 
 def _read_link(model: mujoco.MjModel, body: int, names: Sequence[str], fixed: str) -> Link:
     parent, joint = int(model.body_parentid[body]), int(model.body_jntadr[body])
-    turned = Rotation.from_quat(model.body_quat[body], scalar_first=True)
+    rotation = Rotation.from_quat(model.body_quat[body], scalar_first=True)
     axes = Rotation.from_quat(model.body_iquat[body], scalar_first=True).as_matrix()
-    at = _anchor(model, body)
-    moving = (fixed, "fixed", np.array([0.0, 0.0, 1.0]), 0.0, 0.0)
+    anchor = _anchor(model, body)
+    joint_fields = (fixed, "fixed", np.array([0.0, 0.0, 1.0]), 0.0, 0.0)
     if joint >= 0:
         kind, dof = (
             "hinge" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else "slide",
             model.jnt_dofadr[joint],
         )
         friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
-        moving = (model.joint(joint).name, kind, model.jnt_axis[joint], *friction)
+        joint_fields = (model.joint(joint).name, kind, model.jnt_axis[joint], *friction)
     return Link(
         *(names[body], names[parent]),
-        model.body_pos[body] - _anchor(model, parent) + turned.apply(at),
-        turned.as_euler("xyz"),
-        *(float(model.body_mass[body]), model.body_ipos[body] - at, axes * model.body_inertia[body] @ axes.T),
-        *moving,
+        model.body_pos[body] - _anchor(model, parent) + rotation.apply(anchor),
+        rotation.as_euler("xyz"),
+        *(float(model.body_mass[body]), model.body_ipos[body] - anchor, axes * model.body_inertia[body] @ axes.T),
+        *joint_fields,
     )
 
 
@@ -115,16 +114,11 @@ def run_links(
     """Simulate the long test rollouts in MuJoCo C with links from a written file; return positions.
 
     Options, actuators, `solreffriction` and reference positions, which these formats lack, come from the bench.
-
-    Args:
-        spec: The links from a written file.
-        fitted: The drive.
-        nearest: The drive with MuJoCo's joint friction.
-        armature: Armature of each joint [kg m^2 or kg].
+    `armature` has a value for each joint [kg m^2 or kg].
     """
     text = write_bench(fitted, nearest)
     bench, law = mujoco.MjModel.from_xml_string(text), fitted.bench.actuator.affine(nearest.bench)
-    ends = fitted.bench.actuator.force_range(nearest.bench)
+    force_range = fitted.bench.actuator.force_range(nearest.bench)
     spec.option, spec.compiler.fusestatic = mujoco.MjSpec.from_string(text).option, 0
     for index, name in enumerate(fitted.bench.joints):
         joint = spec.joint(name)
@@ -132,8 +126,8 @@ def run_links(
         gain, *bias = (float(coefficient[index]) for coefficient in law)
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0], actuator.biastype, actuator.biasprm[:3] = gain, mujoco.mjtBias.mjBIAS_AFFINE, bias
-        if ends is not None:
-            actuator.forcelimited, actuator.forcerange = True, ends[index]
+        if force_range is not None:
+            actuator.forcelimited, actuator.forcerange = True, force_range[index]
     model, payload = spec.compile(), fitted.bench.payload
     model.qpos0[:] = bench.qpos0
 
@@ -153,19 +147,21 @@ def say_lacks(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> 
     """List the limits common to these formats; `in_links`: the armature is in the links."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
     armature = list_values(nearest.bench["armature"])
-    whose = f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it where a "
-    whose += "program has one. Gazebo has none."
-    said = [
+    armature_text = (
+        f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it where a "
+    )
+    armature_text += "program has one. Gazebo has none."
+    limits = [
         *say_limits(fitted, nearest),
-        f"The armature, {armature} {units['inertia']}, is in the links: set none." if in_links else whose,
+        f"The armature, {armature} {units['inertia']}, is in the links: set none." if in_links else armature_text,
         "Drake reads no dry friction: its joints have damping alone.",
         "Shapes are left out, and so are solreffriction, gravity and the time step.",
     ]
     if "delay" in values and not fitted.bench.actuator.needs_state:  # a limit already says it otherwise
-        said.append(
+        limits.append(
             f"Commands act {list_values(values['delay'])} s late, which the caller does, as for the difference."
         )
     if "position_offset" in values:
         offset = list_values(values["position_offset"])
-        said.append(f"The recorded positions lack {offset} {units['position']}, which these joints do not.")
-    return tuple(said)
+        limits.append(f"The recorded positions lack {offset} {units['position']}, which these joints do not.")
+    return tuple(limits)

@@ -26,13 +26,13 @@ _MODULES: Mapping[ModuleType, str] = {np: "numpy", math: "math"}
 
 @dataclass
 class Source:
-    """Source text of an object's methods and of all that they need.
+    """Source text of an object's methods and all dependencies, by name.
 
     Attributes:
-        imports: Import statements, by name.
-        functions: Text of each called function, constant, and class of a contained model, by name.
-        methods: Text of each method, by name.
-        attributes: Value of each attribute that the methods read, as text, by name.
+        imports: Import statements.
+        functions: Text of each called function, constant, and class of a contained model.
+        methods: Text of each method.
+        attributes: Value of each attribute that the methods read, as text.
     """
 
     imports: dict[str, str] = field(default_factory=dict)
@@ -98,13 +98,13 @@ def _add_method(source: Source, owner: Any, name: str) -> None:
     text, tree = _read(function)
     source.methods[name] = text
     for attribute in sorted(_own_attributes(tree)):
-        found = getattr(owner, attribute, None)
-        if inspect.ismethod(found):
+        value = getattr(owner, attribute, None)
+        if inspect.ismethod(value):
             _add_method(source, owner, attribute)
-        elif isinstance(found, tuple) and any(isinstance(part, FrictionModel) for part in found):
-            source.attributes[attribute] = _add_laws(source, found)
+        elif isinstance(value, tuple) and any(isinstance(part, FrictionModel) for part in value):
+            source.attributes[attribute] = _add_laws(source, value)
         else:
-            source.attributes[attribute] = _write_attribute(owner, attribute, found)
+            source.attributes[attribute] = _write_attribute(owner, attribute, value)
     _add_globals(source, function, tree)
 
 
@@ -112,10 +112,10 @@ def _add_laws(source: Source, laws: Sequence[FrictionModel]) -> str:
     """Add a class for each contained model; return the text of a tuple with an object of each."""
     names = []
     for number, law in enumerate(laws, 1):
-        own = read_source(law, "terms", "settle", "advance")
+        law_source = read_source(law, "terms", "settle", "advance")
         names.append(f"Law{number}")
-        source.take(own)
-        source.functions[names[-1]] = own.as_class(names[-1], "The friction law of some of the joints.")
+        source.take(law_source)
+        source.functions[names[-1]] = law_source.as_class(names[-1], "The friction law of some of the joints.")
     return f"({', '.join(f'{name}()' for name in names)},)"
 
 
@@ -133,12 +133,11 @@ def _read(function: Any) -> tuple[str, ast.FunctionDef]:
 
 
 def _own_attributes(tree: ast.FunctionDef) -> set[str]:
-    """Return the attributes of its object that a method reads."""
-    own = tree.args.args[0].arg
+    self_name = tree.args.args[0].arg
     return {
         node.attr
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == own
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == self_name
     }
 
 
@@ -152,7 +151,7 @@ def _add_globals(source: Source, function: FunctionType, tree: ast.FunctionDef) 
             _add_function(source, name, inspect.unwrap(value))
         elif isinstance(value, ModuleType) and value in _MODULES:
             source.imports[name] = f"import {_MODULES[value]} as {name}"
-        elif not any(value is known for known in _PROVIDED):
+        elif not any(value is provided for provided in _PROVIDED):
             source.functions[name] = f"{name} = {_write_attribute(function.__qualname__, name, value)}"
 
 

@@ -24,21 +24,11 @@ _OFF = mujoco.mjtDisableBit
 def mount(
     robot: Equipped, fitted: FittedDrive, nearest: Nearest, path: Path, bench: str
 ) -> tuple[mujoco.MjModel, Place]:
-    """Put a robot's file with the drive on the test stand of the recordings.
+    """Put a robot's file with the drive on the test stand of the recordings; return the model and its joint indices.
 
     Time step, integrator, solver, joints and actuators are the file's. As in the bench, the base and the joints that
     were not identified are fixed, and contacts and limits act only if the bench has them. A URDF gets the options,
-    armatures and actuators of the bench's MJCF, which it cannot hold.
-
-    Args:
-        robot: The file.
-        fitted: The drive, identified on a bench of this robot.
-        nearest: The drive with MuJoCo's joint friction.
-        path: File of the robot; its meshes are relative to it.
-        bench: The bench's MJCF with these values.
-
-    Returns:
-        The compiled model, and the indices of the joints in it.
+    armatures and actuators of the bench's MJCF, which it cannot hold. Meshes are relative to `path`.
     """
     stand = fitted.bench
     assert isinstance(stand, Robot)
@@ -54,20 +44,20 @@ def mount(
             model.opt.disableflags |= int(flag)
     joints = np.array([model.joint(name).id for name in robot.joints])
     actuators = np.array([_actuator_of(model, int(joint)) for joint in joints])
-    dof, payload, bare = model.jnt_dofadr[joints], stand.payload, stand.compile(constraint=False)
-    name = None if payload is None else bare.body(payload).name
+    dof, payload, bench_model = model.jnt_dofadr[joints], stand.payload, stand.compile(constraint=False)
+    name = None if payload is None else bench_model.body(payload).name
     carried = None if name is None else inertial_parameters(model, [model.body(name).id])[0]
 
     def put_load(model: mujoco.MjModel, load: Float[np.ndarray, "load"]) -> None:
         if payload is None or name is None or carried is None or not len(load):
             return
-        loaded = copy.copy(bare)
+        loaded = copy.copy(bench_model)
         stand.put_load(loaded, load)
-        more = inertial_parameters(loaded, [payload]) - inertial_parameters(bare, [payload])
-        put_parameters(model, model.body(name).id, carried + more[0])
+        added = inertial_parameters(loaded, [payload]) - inertial_parameters(bench_model, [payload])
+        put_parameters(model, model.body(name).id, carried + added[0])
 
-    where = model.jnt_qposadr[joints], dof, model.actuator_ctrladr[actuators], actuators
-    return model, Place(*where, offset_of(fitted), put_load)
+    indices = model.jnt_qposadr[joints], dof, model.actuator_ctrladr[actuators], actuators
+    return model, Place(*indices, offset_of(fitted), put_load)
 
 
 def _actuator_of(model: mujoco.MjModel, joint: int) -> int:
@@ -85,9 +75,9 @@ def list_coupled(robot: Equipped) -> list[str]:
 def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
     """Fix all other joints at their reference positions, and remove their actuators and joint equalities."""
     others = [joint for joint in spec.joints if joint.name not in joints]
-    held = {joint.name for joint in others}
-    acting = [one for one in spec.actuators if one.target in held and one.trntype in _AT_JOINT]
-    tied = [one for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT and one.name1 in held]
+    fixed = {joint.name for joint in others}
+    acting = [item for item in spec.actuators if item.target in fixed and item.trntype in _AT_JOINT]
+    tied = [item for item in spec.equalities if item.type == mujoco.mjtEq.mjEQ_JOINT and item.name1 in fixed]
     for element in (*acting, *tied):
         spec.delete(element)
     for joint in others:
@@ -95,17 +85,16 @@ def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
 
 
 def _equip(spec: mujoco.MjSpec, fitted: FittedDrive, nearest: Nearest, bench: str) -> None:
-    """Add options, armatures and actuators of the bench's MJCF to a URDF."""
     spec.option = mujoco.MjSpec.from_string(bench).option
     template = ET.fromstring(bench)
-    own = {element.get("name", ""): element.attrib for element in template.iter("joint")}
+    attributes = {element.get("name", ""): element.attrib for element in template.iter("joint")}
     for column, general in enumerate(template.iterfind("./actuator/general")):
         law, joint = (
             describe_law(fitted, nearest, column, general, fitted.timestep),
             spec.joint(general.attrib["joint"]),
         )
-        joint.armature = float(own[joint.name]["armature"])
-        joint.solref_friction = _read(own[joint.name]["solreffriction"])
+        joint.armature = float(attributes[joint.name]["armature"])
+        joint.solref_friction = _read(attributes[joint.name]["solreffriction"])
         actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0], actuator.biastype = float(law["gainprm"]), mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[:3] = _read(law["biasprm"])

@@ -40,8 +40,8 @@ class Urdf(Target):
         text = write_urdf(fitted, nearest, drives)
         (folder / FILE).write_text(text, encoding="utf-8")
         armature = [float(tag.get("value", "nan")) for tag in ET.fromstring(text).iter(f"{{{DRAKE}}}rotor_inertia")]
-        came = run_links(mujoco.MjSpec.from_string(text), fitted, nearest, armature)
-        difference = measure("qpos", fitted, came, fitted.rollout()[0], reason=nearest.lacks)
+        qpos = run_links(mujoco.MjSpec.from_string(text), fitted, nearest, armature)
+        difference = measure("qpos", fitted, qpos, fitted.rollout()[0], reason=nearest.lacks)
         return Export((FILE,), (difference,), (*say_lacks(fitted, nearest), *_say(fitted, nearest, drives, inputs)))
 
 
@@ -90,7 +90,6 @@ def _add_transmission(robot: ET.Element, joint: str, armature: float) -> None:
 
 
 def _add_interfaces(system: ET.Element, name: str, drive: Motor | None) -> None:
-    """Add the command and state interfaces of ros2_control, and the gains if the command is a position."""
     joint = ET.SubElement(system, "joint", name=name)
     ET.SubElement(joint, "command_interface", name="position" if drive else "effort")
     for sensed in _SENSED:
@@ -103,17 +102,16 @@ def _add_interfaces(system: ET.Element, name: str, drive: Motor | None) -> None:
 
 
 def _say(fitted: FittedDrive, nearest: Nearest, drives: list[Motor], inputs: Mapping[str, float]) -> list[str]:
-    """List the limits of a URDF and of the programs that read it."""
-    said = [
+    limits = [
         "Drake and ros2_control were not run: the difference is that of the file in MuJoCo, with its "
         "drake:rotor_inertia as armature and the bench's actuator.",
         "ros2_control's plugin is mock_components/GenericSystem, to be replaced by your hardware's, which reads "
         "<param> or not.",
     ]
     if not drives:
-        return [*said, "The command is an effort: what makes one of the recorded commands is not in the file."]
+        return [*limits, "The command is an effort: what makes one of the recorded commands is not in the file."]
     if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
-        said.append(f"Gains in <param> are those at {listed}.")
+        limits.append(f"Gains in <param> are those at {listed}.")
     exact = [lack for lack in list_lacks(fitted, nearest) if lack not in (nearest.lacks, "delays are whole steps")]
-    return said + ([f"Gains in <param> leave out: {', '.join(exact)}."] if exact else [])
+    return limits + ([f"Gains in <param> leave out: {', '.join(exact)}."] if exact else [])

@@ -31,13 +31,7 @@ MOTOR: Mapping[str, str] = {
 
 
 class Range(NamedTuple):
-    """Range of a parameter stated by the user.
-
-    Attributes:
-        low: Lower end, as a share of the value.
-        high: Upper end.
-        absolute: Whether both ends are in the parameter's unit instead.
-    """
+    """Range of a parameter stated by the user: shares of its value, or, if `absolute`, values in its unit."""
 
     low: float
     high: float
@@ -53,7 +47,6 @@ class Quantity(NamedTuple):
 
     Attributes:
         name: Full name of a parameter, or of a property of MuJoCo's joint or actuator: `joint.armature`.
-        unit: Its unit.
         values: Values in each drive; NaN for joints without it.
         nominal: Values in the fitted drive.
         ends: Lower and upper end of its range.
@@ -70,13 +63,7 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Variants:
-    """Drawn drives.
-
-    Attributes:
-        fitted: The fitted drive.
-        parameters: Parameters that vary in any joint.
-        count: Number of drives.
-    """
+    """Drawn drives; `parameters` vary in any joint."""
 
     fitted: FittedDrive
     parameters: tuple[Quantity, ...]
@@ -84,7 +71,7 @@ class Variants:
 
     def at(self, number: int) -> Values:
         """Return the values of all parameters of one drive, as in `Identified.values`."""
-        return self.fitted.with_values({each.name: each.values[number] for each in self.parameters})
+        return self.fitted.with_values({parameter.name: parameter.values[number] for parameter in self.parameters})
 
     @property
     def all(self) -> list[Values]:
@@ -99,17 +86,17 @@ def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
         ConfigError: The option is no mapping from names to two numbers, or there is no such parameter.
     """
     try:
-        given = yaml.safe_load(text)
+        stated = yaml.safe_load(text)
     except yaml.YAMLError:
-        given = None
-    if not isinstance(given, dict):
+        stated = None
+    if not isinstance(stated, dict):
         raise ConfigError(f"ranges={text}: expected shares of values by name, as in {_EXAMPLE}")
     rows = fitted.result["parameters"]
-    known = {f"{row['owner']}.{row['name']}" for row in rows}.union(*map(label_values, rows))
-    for name in given:
-        if name not in known:
-            raise ConfigError(f"ranges: {name}: no such parameter of this run; {closest(str(name), known)}")
-    return {name: _read_range(name, of) for name, of in given.items()}
+    names = {f"{row['owner']}.{row['name']}" for row in rows}.union(*map(label_values, rows))
+    for name in stated:
+        if name not in names:
+            raise ConfigError(f"ranges: {name}: no such parameter of this run; {closest(str(name), names)}")
+    return {name: _read_range(name, ends) for name, ends in stated.items()}
 
 
 def _read_range(name: str, given: Any) -> Range:
@@ -137,9 +124,9 @@ def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) ->
         ConfigError: A stated range is invalid for its parameter.
     """
     _refuse_vague(fitted, ranges)
-    sure = any(entry["identifiable"] for row in fitted.result["parameters"] for entry in row["by_joint"])
-    drawn = fitted.sample(count, seed) if sure else {}
-    rng, found = np.random.default_rng((seed, 1)), list[Quantity]()
+    any_identifiable = any(entry["identifiable"] for row in fitted.result["parameters"] for entry in row["by_joint"])
+    drawn = fitted.sample(count, seed) if any_identifiable else {}
+    rng, quantities = np.random.default_rng((seed, 1)), list[Quantity]()
     for row, (name, parameter) in zip(fitted.result["parameters"], fitted.parameters.items(), strict=True):
         values = np.array(drawn.get(name, np.broadcast_to(parameter.value, (count, fitted.bench.nv))))
         ends, why = np.repeat(parameter.value[:, None], 2, axis=1), [""] * fitted.bench.nv
@@ -153,10 +140,10 @@ def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) ->
             for joint in joints if stated is not None or entry["identified"] else ():
                 why[joint] = f"{'95 % interval' if stated is None else 'stated range'} of {name}"
         if any(why):
-            found.append(Quantity(name, parameter.unit, values, parameter.value, ends, tuple(why)))
-    if not found:
+            quantities.append(Quantity(name, parameter.unit, values, parameter.value, ends, tuple(why)))
+    if not quantities:
         raise ExportError(f"{fitted.place}: nothing was identified, expected what varies; state a range, {_EXAMPLE}")
-    return Variants(fitted, tuple(found), count)
+    return Variants(fitted, tuple(quantities), count)
 
 
 def _stated(ranges: Ranges, label: str) -> Range | None:
@@ -165,7 +152,6 @@ def _stated(ranges: Ranges, label: str) -> Range | None:
 
 
 def _refuse_vague(fitted: FittedDrive, ranges: Ranges) -> None:
-    """Raise ExportError for identified parameters that are not identifiable and have no stated range."""
     entries = {label: entry for row in fitted.result["parameters"] for label, entry in label_values(row).items()}
     vague = [
         label
@@ -176,10 +162,10 @@ def _refuse_vague(fitted: FittedDrive, ranges: Ranges) -> None:
         return
     missing = fitted.result["no_intervals"]
     why = f"no interval ({missing})" if missing else "not identifiable on the run's recordings"
-    mend = "fit model=mujoco_default" if missing else "record what determines it (python -m frictionzoo.design)"
+    advice = "fit model=mujoco_default" if missing else "record what determines it (python -m frictionzoo.design)"
     raise ExportError(
         f"{name_some(vague)}: {why}, expected a range to draw from; state it in shares of the value, "
-        f"'ranges={{{vague[0]}: [0.8, 1.2]}}', or {mend} and export that run"
+        f"'ranges={{{vague[0]}: [0.8, 1.2]}}', or {advice} and export that run"
     )
 
 
@@ -203,34 +189,31 @@ def _spread(
     drawn: Float[np.ndarray, "count joints"], low: float, high: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "count joints"]:
     """Spread values evenly over a range, in the order of the draws, or in random order without draws."""
-    count, first = len(drawn), drawn[:, 0]
-    order = np.argsort(np.argsort(first)) if np.ptp(first) > 0 else rng.permutation(count)
+    count, column = len(drawn), drawn[:, 0]
+    order = np.argsort(np.argsort(column)) if np.ptp(column) > 0 else rng.permutation(count)
     return np.broadcast_to(low + (order[:, None] + 0.5) / count * (high - low), drawn.shape)
 
 
 def list_quantities(
     variants: Variants, nominal: Nearest, each: Sequence[Nearest], inputs: Mapping[str, float]
 ) -> tuple[Quantity, ...]:
-    """List the quantities of MuJoCo's joints, and those of a position-controlled motor that vary.
+    """List quantities of MuJoCo's joints, and varying quantities of a position-controlled motor.
 
-    Args:
-        variants: The drives.
-        nominal: The fitted drive with MuJoCo's joint friction.
-        each: Each drawn drive with MuJoCo's joint friction.
-        inputs: Gain and supply of a servo.
+    `nominal` is the fitted drive and `each` the drawn drives with MuJoCo's joint friction; `inputs` are gain and supply
+    of a servo.
     """
     fitted = variants.fitted
-    units, own = UNITS[fitted.bench.joint_type], fitted.bench.own_damping
+    units, bench_damping = UNITS[fitted.bench.joint_type], fitted.bench.own_damping
     values = [fitted.values, *variants.all]
     joint = {
         "armature": ("inertia", [one.bench["armature"] for one in (nominal, *each)]),
         "frictionloss": ("torque", [one.frictionloss for one in (nominal, *each)]),
-        "damping": ("damping", [one.damping + own for one in (nominal, *each)]),
+        "damping": ("damping", [one.damping + bench_damping for one in (nominal, *each)]),
     }
-    rest = [at_rest(fitted, v, one.frictionloss) for v, one in zip(values, (nominal, *each), strict=True)]
-    if any((static != one.frictionloss).any() for static, one in zip(rest, (nominal, *each), strict=True)):
-        joint["static_friction"] = ("torque", rest)
-    found = [_describe(variants, f"joint.{name}", units[of], np.array(rows)) for name, (of, rows) in joint.items()]
+    static_torques = [at_rest(fitted, v, one.frictionloss) for v, one in zip(values, (nominal, *each), strict=True)]
+    if any((static != one.frictionloss).any() for static, one in zip(static_torques, (nominal, *each), strict=True)):
+        joint["static_friction"] = ("torque", static_torques)
+    quantities = [_describe(variants, f"joint.{name}", units[of], np.array(rows)) for name, (of, rows) in joint.items()]
     drives = [_motors(replace(fitted, values=of), inputs) for of in values]
     of_motor = []
     for name, of in MOTOR.items() if drives[0] else ():
@@ -239,21 +222,20 @@ def list_quantities(
             of_motor.append(_describe(variants, f"actuator.{name}", units[of], rows))
     # Simulators set both gains together.
     gains = any(any(one.why) for one in of_motor[:2])
-    return (*found, *(one for place, one in enumerate(of_motor) if any(one.why) or (gains and place < 2)))
+    return (*quantities, *(one for place, one in enumerate(of_motor) if any(one.why) or (gains and place < 2)))
 
 
 def at_rest(fitted: FittedDrive, values: Values, frictionloss: Float[np.ndarray, "nv"]) -> Float[np.ndarray, "nv"]:
     """Return the friction that holds a joint at rest [N m or N]: `static_torque` if the model has it."""
-    found = frictionloss.copy()
+    friction = frictionloss.copy()
     for joint in range(fitted.bench.nv):
         _, place, prefix = fitted.model.of_joint(joint)
         if (name := f"{prefix}static_torque") in values["friction"]:
-            found[joint] = max(found[joint], values["friction"][name][place])
-    return found
+            friction[joint] = max(friction[joint], values["friction"][name][place])
+    return friction
 
 
 def _motors(fitted: FittedDrive, inputs: Mapping[str, float]) -> list[Motor]:
-    """Return the joints' motors; none if they are not position-controlled."""
     try:
         return motors(fitted, inputs)
     except ExportError:
@@ -261,10 +243,7 @@ def _motors(fitted: FittedDrive, inputs: Mapping[str, float]) -> list[Motor]:
 
 
 def _describe(variants: Variants, name: str, unit: str, rows: Float[np.ndarray, "drives nv"]) -> Quantity:
-    """Describe a quantity of the fitted drive, the first row, and of the drawn drives.
-
-    If it equals a parameter plus a constant, it has that parameter's range, else the middle 95 % of the draws.
-    """
+    """Describe a quantity; the first row is the fitted drive, the others are drawn drives."""
     nominal, values = rows[0], rows[1:]
     ends, why = np.repeat(nominal[:, None], 2, axis=1), [""] * len(nominal)
     for joint, size in enumerate(np.abs(nominal)):
@@ -272,7 +251,8 @@ def _describe(variants: Variants, name: str, unit: str, rows: Float[np.ndarray, 
             continue
         ends[joint], why[joint] = np.quantile(values[:, joint], QUANTILES), "middle 95 % of the draws"
         for parameter in variants.parameters:
-            apart = values[:, joint] - parameter.values[:, joint]
-            if parameter.why[joint] and np.ptp(apart) <= _SAME * size:
-                ends[joint], why[joint] = parameter.ends[joint] + apart[0], parameter.why[joint]
+            # A quantity that equals a parameter plus a constant has the parameter's range.
+            difference = values[:, joint] - parameter.values[:, joint]
+            if parameter.why[joint] and np.ptp(difference) <= _SAME * size:
+                ends[joint], why[joint] = parameter.ends[joint] + difference[0], parameter.why[joint]
     return Quantity(name, unit, values, nominal, ends, tuple(why))

@@ -30,12 +30,10 @@ COMMON = ("target", "timestep", "integrator", "output")
 
 
 def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
-    """Write the requested targets.
+    """Write the targets that `options` request from the run in a folder.
 
-    Args:
-        folder: The run's folder.
-        options: `target`, a name or `all`; `timestep` [s] and `integrator` of the simulator; `output`, a folder; and
-            options of the target, all as text.
+    Options are `target`, a name or `all`; `timestep` [s] and `integrator` of the simulator; `output`, a folder; and
+    options of the target, all as text.
 
     Returns:
         One entry for each target. With `all`, also for targets that cannot represent this drive or lack a package.
@@ -64,10 +62,10 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
 def summarise_exports(written: Sequence[Written]) -> str:
     """Return a table with a row for each comparison, then the limits of each target and the folders of the files."""
     rows = [("target", "compared", "over", "largest difference", "mean", "error", "limits", "")]
-    rows += [row for one in written for row in _list_rows(one)]
-    limits = [f"{one.target}: {limit}" for one in written if one.export for limit in one.export.limits]
-    reasons = [f"{one.target}: nothing written: {one.reason}" for one in written if one.export is None]
-    files = [f"files: {one.folder}" for one in written if one.folder]
+    rows += [row for outcome in written for row in _list_rows(outcome)]
+    limits = [f"{outcome.target}: {limit}" for outcome in written if outcome.export for limit in outcome.export.limits]
+    reasons = [f"{outcome.target}: nothing written: {outcome.reason}" for outcome in written if outcome.export is None]
+    files = [f"files: {outcome.folder}" for outcome in written if outcome.folder]
     return "\n\n".join("\n".join(block) for block in ([align(rows)], *escape_all([limits, reasons, files])) if block)
 
 
@@ -88,18 +86,15 @@ def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:
 def export_to(drive: FittedDrive, target: str, path: Path, options: Mapping[str, str]) -> Written:
     """Write a drive for one program.
 
-    Args:
-        drive: The identified drive.
-        target: The target's name.
-        path: A folder; or a file, which the target's only file with this extension replaces.
-        options: `timestep` [s] and `integrator` of the simulator, and options of the target, as text.
+    `path` is a folder; or a file, which is replaced by the target's only file with this extension. `options` are
+    `timestep` [s] and `integrator` of the simulator, and options of the target, as text.
 
     Raises:
         FrictionzooError: An option is invalid, the target cannot represent the drive, or has no such file.
     """
     asked = {**options, "target": target}
-    (name, *more) = _choose(asked)
-    if more:
+    (name, *others) = _choose(asked)
+    if others:
         raise ConfigError(f"target={target}; expected one target; {closest(target, target_names())}")
     drive = _in_simulator(drive, options)
     if not path.suffix:
@@ -107,10 +102,10 @@ def export_to(drive: FittedDrive, target: str, path: Path, options: Mapping[str,
     with tempfile.TemporaryDirectory() as scratch:
         written = _write(drive, name, Path(scratch, name), asked)
         files = written.export.files if written.export else ()
-        meant = [file for file in files if file.endswith(path.suffix)]
-        if len(meant) != 1:
+        matching = [file for file in files if file.endswith(path.suffix)]
+        if len(matching) != 1:
             raise ConfigError(f"{path}: target={name} writes {', '.join(files)}; expected a folder, or one's ending")
-        write_atomically(path, Path(scratch, name, meant[0]).read_bytes())
+        write_atomically(path, Path(scratch, name, matching[0]).read_bytes())
     return replace(written, folder=path.parent)
 
 
@@ -120,17 +115,16 @@ def as_text(option: Any) -> str:
 
 
 def _choose(options: Mapping[str, str]) -> list[str]:
-    """Return the requested targets; refuse options that none of them has."""
     if "target" not in options:
         raise ConfigError(f"target is missing; give target=NAME, {closest('', [*target_names(), ALL])}")
     asked, existing = options["target"], target_names()
     if asked not in (*existing, ALL):
         raise ConfigError(f"target={asked}: no such target; {closest(asked, [*existing, ALL])}")
     names = existing if asked == ALL else [asked]
-    known = {*COMMON, *(option for name in names for option in get_target(name).options)}
+    allowed = {*COMMON, *(option for name in names for option in get_target(name).options)}
     for option in options:
-        if option not in known:
-            raise ConfigError(f"{option}: unknown option of target={asked}; {closest(option, known)}")
+        if option not in allowed:
+            raise ConfigError(f"{option}: unknown option of target={asked}; {closest(option, allowed)}")
     return names
 
 
@@ -159,9 +153,9 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
         )
     if "mujoco" in target.packages:
         moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
-    own = {option: value for option, value in options.items() if option in target.options}
+    target_options = {option: value for option, value in options.items() if option in target.options}
     with take_place(place, "export", [NOTE]) as fresh:
-        export = target.write(moved, fresh, own)
+        export = target.write(moved, fresh, target_options)
         export = Export(export.files, export.differences, (*export.limits, *_say_simulator(moved)))
         written = Written(name, place, export, error=moved.result["metrics"]["test"]["position_mae"])
         note = _note(moved, written, target.packages, export)
@@ -170,31 +164,32 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
 
 
 def _say_simulator(moved: FittedDrive) -> list[str]:
-    """Describe the time step of the parameters, and the error of the drive with it."""
     origin, step, continuous = moved.origin, moved.timestep, moved.is_simulated
     if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not continuous):
         return []
-    came, unit, integrator = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"], moved.integrator
-    distance = np.abs(came - moved.predict_origin().qpos)
-    by = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
+    qpos, unit, integrator = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"], moved.integrator
+    distance = np.abs(qpos - moved.predict_origin().qpos)
+    gap = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
     if not continuous:
         fitted = f"those of {origin.timestep:g} s with which it was fitted"
-        return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {by}."]
-    here, own = (f"{np.abs(errors).mean():.2g} {unit}" for errors in (moved.find_errors(came), moved.find_residual()))
+        return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {gap}."]
+    error, continuous_error = (
+        f"{np.abs(errors).mean():.2g} {unit}" for errors in (moved.find_errors(qpos), moved.find_residual())
+    )
     if integrator == RK4:
         return [
             f"Parameters are those for steps of {step:g} s with the integrator {RK4}: those of continuous time, with a "
-            f"softer solreffriction. In continuous time the mean error under held-out commands is {own}."
+            f"softer solreffriction. In continuous time the mean error under held-out commands is {continuous_error}."
         ]
-    said = [
+    remarks = [
         f"Parameters are those for steps of {step:g} s with the integrator {integrator}, and others for other steps. "
-        f"In these the drive moves differently than in continuous time: {by}. Its mean error under held-out commands "
-        f"is {here}, in continuous time {own}."
+        f"In these the drive moves differently than in continuous time: {gap}. Its mean error under held-out commands "
+        f"is {error}, in continuous time {continuous_error}."
     ]
     if origin and continuous and (limited := find_limited(moved.values, origin.values)):
         joints = name_some([moved.bench.joints[joint] for joint in limited])
-        said.append(f"For {joints} an armature cannot be as small as such steps need: take shorter ones.")
-    return said
+        remarks.append(f"For {joints} an armature cannot be as small as such steps need: take shorter ones.")
+    return remarks
 
 
 def _note(fitted: FittedDrive, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:
@@ -207,7 +202,7 @@ def _note(fitted: FittedDrive, written: Written, packages: Sequence[str], export
         "timestep": fitted.timestep,
         "files": list(export.files),
         "error": written.error,
-        "differences": [asdict(one) | {"mark": written.mark(one)} for one in export.differences],
+        "differences": [asdict(difference) | {"mark": written.mark(difference)} for difference in export.differences],
         "limits": list(export.limits),
         "versions": versions | {package: _version(package) for package in packages},
     }

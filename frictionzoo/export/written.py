@@ -8,13 +8,10 @@ from frictionzoo.result.run_types import FAR
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference between the written files, run in their program, and the fitted drive.
+    """Absolute difference between the written files, run in their program, and the fitted drive.
 
     Attributes:
-        quantity: The compared quantity: `qpos`, or `torque`.
-        unit: Its unit.
-        largest: Largest absolute difference.
-        mean: Mean absolute difference.
+        quantity: `qpos` or `torque`.
         over: The compared data, in words: `10 rollouts of 3 s`.
         reason: Reason for a difference, in a few words; empty if no difference is expected.
         error: Mean absolute position error against the recordings; None if not measured.
@@ -31,13 +28,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Export:
-    """Files written by a target.
-
-    Attributes:
-        files: Their names in the folder.
-        differences: Differences from the drive, measured by running the files.
-        limits: Limits of the files and remarks for users, a sentence each, with the loss of accuracy.
-    """
+    """Files written by a target, their measured differences from the drive, and their limits, a sentence each."""
 
     files: tuple[str, ...]
     differences: tuple[Difference, ...]
@@ -46,12 +37,9 @@ class Export:
 
 @dataclass(frozen=True)
 class Written:
-    """Outcome of one target.
+    """Outcome of one target: its `export`, or None and the reason.
 
     Attributes:
-        target: Name of the target.
-        folder: Folder of the files; None if there are none.
-        export: The written files; None if nothing was written.
         reason: Reason why nothing was written, in one line.
         error: Mean absolute position error of the drive in the run's test rollouts; None if unknown.
     """

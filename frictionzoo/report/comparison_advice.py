@@ -19,12 +19,7 @@ _RUN = ["python", "-m", "frictionzoo.run"]
 
 
 class Step(NamedTuple):
-    """Suggested next step.
-
-    Attributes:
-        purpose: Purpose of the step.
-        command: Shell command, or Python call.
-    """
+    """Suggested next step: its purpose, and a shell command or Python call."""
 
     purpose: str
     command: str
@@ -37,7 +32,7 @@ def name_runs(labels: Sequence[str]) -> str:
 
 def check_order(comparison: Comparison) -> Check:
     """Check whether the best run is better than the others by more than noise."""
-    first, *others = (entry["label"] for entry in comparison["runs"])
+    best, *others = (entry["label"] for entry in comparison["runs"])
     if comparison["recommendation"] is None:
         return Check("bad", "Ranking", "No ranking: every test rollout of every run diverged.")
     if not others:
@@ -45,33 +40,32 @@ def check_order(comparison: Comparison) -> Check:
     pairs = _pairs_with_best(comparison)
     close = [label for label in others if pairs[label]["verdict"] == "noise"]
     if close:
-        text = f"Within noise of the best run, {first}: {name_runs(close)}. These data show no relevant difference"
+        text = f"Within noise of the best run, {best}: {name_runs(close)}. These data show no relevant difference"
         return Check("note", "Ranking", f"{text}; the simplest run is recommended.")
-    text = f"{first} is better than every other run by more than noise. {_say_next(comparison)}"
+    text = f"{best} is better than every other run by more than noise. {_say_next(comparison)}"
     return Check("good", "Ranking", text)
 
 
 def _pairs_with_best(comparison: Comparison) -> dict[str, PairRow]:
-    first = comparison["runs"][0]["label"]
-    return {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == first}
+    best = comparison["runs"][0]["label"]
+    return {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == best}
 
 
 def _say_next(comparison: Comparison) -> str:
-    """Return a sentence that compares the second run with the best."""
     best, second = comparison["runs"][:2]
     pair, error = _pairs_with_best(comparison)[second["label"]], best["test"]["position_mae"]
     if not error or pair["mean"] is None or pair["low"] is None or pair["high"] is None:
         return f"More test rollouts of the second, {second['label']}, diverged."
-    more = [each / error for each in (pair["mean"], pair["low"], pair["high"])]
-    if more[0] < 1:
-        mean, low, high = map(say_percent, more)
+    ratios = [ratio / error for ratio in (pair["mean"], pair["low"], pair["high"])]
+    if ratios[0] < 1:
+        mean, low, high = map(say_percent, ratios)
         return f"The error of the second, {second['label']}, is {mean} larger (95 % interval {low} to {high})."
-    mean, low, high = (f"{1 + each:.2g}" for each in more)
+    mean, low, high = (f"{1 + ratio:.2g}" for ratio in ratios)
     return f"The error of the second, {second['label']}, is {mean} times as large (95 % interval {low} to {high})."
 
 
 def list_steps_to_use(run: Run, place: str) -> list[str]:
-    """Return lines that use the recommended run: from its folder, or, if not saved, from the result of `fz.compare`."""
+    """Return lines that use the recommended run: from its folder or, if not saved, from the result of `fz.compare`."""
     usable = is_usable(run.result)
     if (run.folder / RESULT).exists():
         return list_uses(place, usable)
@@ -86,14 +80,14 @@ def list_steps_to_use(run: Run, place: str) -> list[str]:
 def list_next_steps(comparison: Comparison, chosen: Run) -> list[Step]:
     """Return next steps: repair, compare with more rollouts, try another model, record again, inspect the data."""
     commands = {row["kind"]: row["command"] for row in reversed(chosen.result["verdict"]["commands"])}
-    law, steps = commands.get("law", ""), list[Step]()
+    command, steps = commands.get("law", ""), list[Step]()
     if repair := commands.get("repair"):
         steps.append(Step("Repair the problem that its run found", repair))
-    if again := _judge_again(comparison, law):
-        steps.append(Step("Compare the runs within noise on more rollouts", again))
-    tried = {entry["model"] for entry in comparison["runs"]}
-    if law and not any(_names_law(law, model) for model in tried):
-        steps.append(Step("Try another model", law))
+    if sweep := _judge_again(comparison, command):
+        steps.append(Step("Compare the runs within noise on more rollouts", sweep))
+    models = {entry["model"] for entry in comparison["runs"]}
+    if command and not any(_names_law(command, model) for model in models):
+        steps.append(Step("Try another model", command))
     if recording := commands.get("recording"):
         steps.append(Step("Make another recording", recording))
     elif inspect := commands.get("inspect"):
@@ -106,12 +100,7 @@ def _names_law(command: str, model: str) -> bool:
 
 
 def _judge_again(comparison: Comparison, command: str) -> str:
-    """Return a sweep over the runs within noise of the best, on more rollouts; empty if it cannot help.
-
-    Args:
-        comparison: Content of `comparison.json`.
-        command: Command of a single run that provides the options.
-    """
+    """Return a sweep, with options of `command`, of runs within noise on more rollouts; empty if it cannot help."""
     best = comparison["runs"][0]
     matters = MATTERS * (best["test"]["position_mae"] or 0.0)
     close = [label for label, pair in _pairs_with_best(comparison).items() if _is_open(pair, matters)]
@@ -120,7 +109,7 @@ def _judge_again(comparison: Comparison, command: str) -> str:
     # Two runs of one model differ in options that this command does not contain.
     if not close or words[:3] != _RUN or any(models[label] != label for label in (best["label"], *close)):
         return ""
-    options = [each for each in words[3:] if not each.startswith(("model=", "model.", "evaluation.rollouts="))]
+    options = [option for option in words[3:] if not option.startswith(("model=", "model.", "evaluation.rollouts="))]
     more = f"evaluation.rollouts={MORE * comparison['evaluation']['rollouts']}"
     return shlex.join([*_RUN, "-m", *options, f"model={','.join([best['label'], *close])}", more])
 

@@ -17,9 +17,7 @@ PIXELS = 75.0  # page pixels per inch of paper, for figures whose height depends
 
 
 def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
-    """Write all figures of a comparison, each as PNG and PDF.
-
-    An empty figure, such as parameters when no run has any, is not written, and an older file of it is removed.
+    """Write all figures of a comparison, each as PNG and PDF; an older file of a figure that is now empty is removed.
 
     Raises:
         OutputError: A file cannot be written.
@@ -32,31 +30,31 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
 
 def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
     """Return the sheet of each file; an empty figure has a sheet without figures."""
-    drawn, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
+    plots, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
     data = f"{comparison['data']['name']} ({say_origin(comparison['data']['origin'])})"
     fits = f"Fits to the training part of {data}\nred: the reported iteration and its values; axis from the lower "
     fits += "to the upper bound of each parameter, logarithmic if both are positive"
-    one = f"One rollout of the test part of {data}"
+    single = f"One rollout of the test part of {data}"
     window = f"moving mean and standard deviation over {runs[0].result['evaluation']['window']:g} s"
     short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"
     long = f"Mean over {evaluation['long_rollouts']} rollouts of the test part of {data}"
     windows = sum(comparison["by_speed"]["windows"])
     local = f"{windows} short rollouts over the test part of {data}, in bins of equal count"
     friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, if friction depends on more"
-    names = max((len(figure.panels[0].marks) // 2 for figure in drawn["parameters"]), default=0)
-    rows = (drawn["mae"][0].height or 0) / PIXELS
+    names = max((len(figure.panels[0].marks) // 2 for figure in plots["parameters"]), default=0)
+    rows = (plots["mae"][0].height or 0) / PIXELS
     columns = min(joints, COLUMNS)
     return {
         "figure3_parameters": Sheet(
-            fits, drawn["parameters"], 2.1 + LINE * names, 2 if joints == 1 else columns, apart=True
+            fits, plots["parameters"], 2.1 + LINE * names, 2 if joints == 1 else columns, apart=True
         ),
-        "figure4_trajectories": Sheet(one, drawn["trajectories"], 5.4, columns, headings=True),
-        "figure5_error": Sheet(f"{one}\n{window}", drawn["error"], 3.4),
-        "figure6_mae": Sheet(f"{short}\nmean and standard deviation over rollouts", drawn["mae"], rows),
-        "error_by_horizon": Sheet(long, drawn["by_horizon"], 3.0),
-        "error_by_speed": Sheet(local, drawn["by_speed"], 3.0),
-        "error_by_load": Sheet(local, drawn["by_load"], 3.0),
-        "friction": Sheet(f"{friction} than the velocity", drawn["friction"], 3.2, columns, headings=True),
-        "autocorrelation": Sheet(long, drawn["autocorrelation"], 3.0),
-        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", drawn["differences"], rows),
+        "figure4_trajectories": Sheet(single, plots["trajectories"], 5.4, columns, headings=True),
+        "figure5_error": Sheet(f"{single}\n{window}", plots["error"], 3.4),
+        "figure6_mae": Sheet(f"{short}\nmean and standard deviation over rollouts", plots["mae"], rows),
+        "error_by_horizon": Sheet(long, plots["by_horizon"], 3.0),
+        "error_by_speed": Sheet(local, plots["by_speed"], 3.0),
+        "error_by_load": Sheet(local, plots["by_load"], 3.0),
+        "friction": Sheet(f"{friction} than the velocity", plots["friction"], 3.2, columns, headings=True),
+        "autocorrelation": Sheet(long, plots["autocorrelation"], 3.0),
+        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", plots["differences"], rows),
     }

@@ -106,24 +106,20 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
 def _anonymise(
     comparison: Comparison, runs: Sequence[Run]
 ) -> tuple[Comparison, list[Run], list[str], list[str | None]]:
-    """Return comparison and runs (best first) without absolute paths, the runs' folders for a shell, and commands.
-
-    A shared page must not reveal anyone's home directory.
-    """
-    named = {run.label: run for run in runs}
-    ranked = [named[entry["label"]] for entry in comparison["runs"]]
-    of_runs = [[run.label, run.result, str(run.folder.absolute()), say_command(run.folder)] for run in ranked]
-    spoken: Any = [comparison, *of_runs]
-    known = {path for _, result, place, command in of_runs for path in (place, *list_paths_of(result, command))}
-    comparison, *described = without_paths(spoken, known, ranked[0].result["joints"], Path.cwd())
-    bare = [
-        replace(run, label=label, result=result) for run, (label, result, *_) in zip(ranked, described, strict=True)
+    """Remove absolute paths, which reveal home directories; return comparison, ranked runs, folders and commands."""
+    by_label = {run.label: run for run in runs}
+    ranked = [by_label[entry["label"]] for entry in comparison["runs"]]
+    rows = [[run.label, run.result, str(run.folder.absolute()), say_command(run.folder)] for run in ranked]
+    content: Any = [comparison, *rows]
+    paths = {path for _, result, place, command in rows for path in (place, *list_paths_of(result, command))}
+    comparison, *cleaned = without_paths(content, paths, ranked[0].result["joints"], Path.cwd())
+    anonymous = [
+        replace(run, label=label, result=result) for run, (label, result, *_) in zip(ranked, cleaned, strict=True)
     ]
-    return comparison, bare, [place for *_, place, _ in described], [command for *_, command in described]
+    return comparison, anonymous, [place for *_, place, _ in cleaned], [command for *_, command in cleaned]
 
 
 def _advise(comparison: Comparison, chosen: Run, place: str) -> dict[str, Any]:
-    """Return how to use the recommended run, and next steps."""
     return {
         "place": place if (chosen.folder / RESULT).exists() else None,
         "usable": is_usable(chosen.result),
@@ -133,7 +129,6 @@ def _advise(comparison: Comparison, chosen: Run, place: str) -> dict[str, Any]:
 
 
 def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: Path) -> dict[str, Any]:
-    """Return the content of one run's row in the ranking and of its panel."""
     entry = comparison["runs"][index]
     recommendation = comparison["recommendation"]
     pairs = {(pair["run"], pair["other"]): pair for pair in comparison["pairs"]}
@@ -169,7 +164,6 @@ def _doubt(run: Run) -> list[Check]:
 
 
 def _list_errors(entry: RunRow) -> Iterator[dict[str, Any]]:
-    """Yield all metrics of a run: each horizon on test and training data, then the paper's two evaluations."""
     for horizon in entry["by_horizon"]:
         yield {"on": "test", **horizon["test"]}
         yield {"on": "train", **horizon["train"]}
@@ -179,13 +173,13 @@ def _list_errors(entry: RunRow) -> Iterator[dict[str, Any]]:
 
 def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
     """Yield rows of the table of all parameters; parameters shared by most runs come first."""
-    held = [{(p["owner"], p["name"], p["unit"]): p for p in entry["parameters"]} for entry in entries]
-    keys = [key for parameters in held for key in parameters]
+    by_run = [{(p["owner"], p["name"], p["unit"]): p for p in entry["parameters"]} for entry in entries]
+    keys = [key for parameters in by_run for key in parameters]
     for key in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
-        found = [parameters.get(key) for parameters in held]
-        values = [p and {**p, "value": float(np.nanmean(read_values(p)))} for p in found]
+        per_run = [parameters.get(key) for parameters in by_run]
+        values = [p and {**p, "value": float(np.nanmean(read_values(p)))} for p in per_run]
         joints = [
-            {"name": row["joint"], "values": [p and pick_value(p, row["joint"]) for p in found]}
+            {"name": row["joint"], "values": [p and pick_value(p, row["joint"]) for p in per_run]}
             for row in entries[0]["by_joint"]
         ]
         yield dict(zip(("owner", "name", "unit"), key, strict=True)) | {"values": values, "by_joint": joints}
@@ -193,25 +187,24 @@ def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
 
 def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:
     """Return the test position errors of every joint in all runs, and the index of the lowest; None if all diverged."""
-    found = []
+    joints = []
     for rows in zip(*(entry["by_joint"] for entry in comparison["runs"]), strict=True):
         errors = [row["test"]["position_mae"] for row in rows]
-        known = [error for error in errors if error is not None]
-        best = errors.index(min(known)) if known else None
-        found.append({"name": rows[0]["joint"], "values": errors, "best": best})
-    return found
+        finite = [error for error in errors if error is not None]
+        best = errors.index(min(finite)) if finite else None
+        joints.append({"name": rows[0]["joint"], "values": errors, "best": best})
+    return joints
 
 
 def _find_worst(entry: RunRow) -> int:
-    """Return the index of the joint with the largest test error."""
     return int(np.argmax([row["test"]["position_mae"] or 0.0 for row in entry["by_joint"]]))
 
 
 def _list_files(folder: Path) -> dict[str, str]:
     """Return files in the page's folder with a description; `comparison.json` is written after the page."""
-    found = {name: text for name, text in FILES.items() if name == "comparison.json" or (folder / name).exists()}
+    files = {name: text for name, text in FILES.items() if name == "comparison.json" or (folder / name).exists()}
     drawings = sorted((folder / "figures").glob("*.pdf"))
-    return found | {f"figures/{drawing.name}": "for print" for drawing in drawings}
+    return files | {f"figures/{drawing.name}": "for print" for drawing in drawings}
 
 
 def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Check]:
@@ -239,16 +232,16 @@ def _check_rollouts(evaluation: RolloutsRow) -> Check:
 
 
 def _check_divergence(comparison: Comparison) -> Check:
-    lost = {}
+    diverged = {}
     for entry in comparison["runs"]:
         counts = [f"{entry[part]['diverged']} of {entry[part]['rollouts']} on {part}" for part in ("test", "train")]
         if entry["test"]["diverged"] or entry["train"]["diverged"]:
-            lost[entry["label"]] = f"{entry['label']} ({', '.join(counts)})"
-    if not lost:
+            diverged[entry["label"]] = f"{entry['label']} ({', '.join(counts)})"
+    if not diverged:
         return Check("good", "Stability", "All training and test rollouts of all runs stayed finite.")
     chosen = (comparison["recommendation"] or {}).get("run")
-    text = f"Diverged rollouts, excluded from the errors: {name_runs([*lost.values()])}."
-    return Check("bad" if chosen is None or chosen in lost else "caution", "Stability", text)
+    text = f"Diverged rollouts, excluded from the errors: {name_runs([*diverged.values()])}."
+    return Check("bad" if chosen is None or chosen in diverged else "caution", "Stability", text)
 
 
 def _check_bounds(entries: Sequence[RunRow]) -> Check:

@@ -1,7 +1,4 @@
-"""Figures of several runs: the paper's figures 3 to 6, and further comparisons.
-
-Each run has one colour and dash pattern in all figures.
-"""
+"""Figures of several runs, each in one colour and dash pattern: the paper's figures 3 to 6, and further comparisons."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -47,13 +44,10 @@ Look = Mapping[str, Any]
 
 
 def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[str, Look]:
-    """Return the look of each run by label; labels are ordered best first.
-
-    The reference (no friction) has the colour of "no friction" on a run's page; no other run has that colour.
-    """
+    """Return the look of each run by label, best first; only the reference has the colour of "no friction"."""
     labels = list(labels)
     colors = [color for color in RUNS if color != BASELINE] if reference in labels else RUNS
-    places = {label: i for i, label in enumerate(each for each in labels if each != reference)}
+    places = {label: i for i, label in enumerate(other for other in labels if other != reference)}
     styles = {label: (colors[i % len(colors)], DASHES[i % len(DASHES)]) for label, i in places.items()}
     styles[reference or ""] = BASELINE, DASHES[-1]
     return {
@@ -64,8 +58,8 @@ def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[st
 
 def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
     """Return all figures of several runs by name; an empty list if there is nothing to show."""
-    named = {run.label: run for run in runs}
-    ranked = [named[entry["label"]] for entry in comparison["runs"]]
+    by_label = {run.label: run for run in runs}
+    ranked = [by_label[entry["label"]] for entry in comparison["runs"]]
     speed = Axis("mean absolute speed", comparison["velocity_unit"])
     load = Axis("mean absolute motor torque", comparison["torque_unit"])
     return {
@@ -93,11 +87,7 @@ def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
 
 
 def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
-    """Yield figure 3 for each run with parameters and each joint: parameters over the iterations of the fit.
-
-    Parameters have different units, so the axis is the position between the bounds of the fit.
-    For a grid search, points show each combination that was better than all before it.
-    """
+    """Yield figure 3 for each run and joint: parameters over the iterations, between their bounds as units differ."""
     joints, looks = comparison["joints"], _looks(comparison)
     for run in (run for run in runs if _identified(run)):
         for joint, name in enumerate(joints):
@@ -112,7 +102,6 @@ def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Fi
 
 
 def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
-    """Return one line per parameter of a joint, and marks at the reported values."""
     history, fit = run.curves.history, run.result["fit"]
     grid, best = fit["method"] == "grid", float(fit["best_iteration"])
     loss = np.where(np.isnan(history["loss"]), np.inf, history["loss"])
@@ -127,8 +116,8 @@ def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
         curve, reached = (100 * place_between_bounds(row, values) for values in (curve, np.array([row["value"]])))
         points = {"width": 0.0, "marker": MARKERS[i % len(MARKERS)], "size": 5.0}
         look: dict[str, Any] = points if grid else {"dash": DASHES[i % len(DASHES)]}
-        said = f"{parameter['name']} = {row['value']:.4g} {format_unit(parameter['unit'])}".rstrip()
-        marks.append(Curve(x=iteration, y=curve, name=said, color=color, **look))
+        label = f"{parameter['name']} = {row['value']:.4g} {format_unit(parameter['unit'])}".rstrip()
+        marks.append(Curve(x=iteration, y=curve, name=label, color=color, **look))
         marks.append(Curve(x=np.array([best]), y=reached, **REPORTED))
     return marks
 
@@ -176,8 +165,8 @@ def _plot_errors(comparison: Comparison) -> Figure:
         marks.append(Bars(name=part, color=SOFT, **key, **shared))  # for the legend
         for i, entry in enumerate(entries):
             mean, spread = (_numbers([entry[part][key]]) for key in ("position_mae", "position_mae_std"))
-            said = (f"{part} {_say_error(entry[part])}",)
-            bar = {"at": np.array([i + offset]), "length": mean, "spread": spread, "notes": said}
+            notes = (f"{part} {_say_error(entry[part])}",)
+            bar = {"at": np.array([i + offset]), "length": mean, "spread": spread, "notes": notes}
             marks.append(Bars(**bar, **shared, **looks[entry["label"]]))
             ends.append(float((mean + spread)[0]))
     labels, x = [*looks], Axis("position MAE", unit, limits=(0.0, 1.05 * _limit(np.array(ends), FLATTENED)))
@@ -193,8 +182,8 @@ def _say_error(metrics: MetricsRow) -> str:
     mean, spread = metrics["position_mae"], metrics["position_mae_std"]
     if mean is None or spread is None:
         return "all diverged"
-    lost = f", {metrics['diverged']} of {metrics['rollouts']} diverged" if metrics["diverged"] else ""
-    return f"{format_digits(mean, 3)} ± {format_digits(spread, 2)}{lost}"
+    diverged = f", {metrics['diverged']} of {metrics['rollouts']} diverged" if metrics["diverged"] else ""
+    return f"{format_digits(mean, 3)} ± {format_digits(spread, 2)}{diverged}"
 
 
 def _limit(sizes: Float[np.ndarray, "rows"], widest: float) -> float:
@@ -211,7 +200,6 @@ def _arrange_rows(title: str, text: str, marks: Sequence[Mark], x: Axis, labels:
 
 
 def _plot_differences(comparison: Comparison) -> Figure:
-    """Return the difference of each run's test error to the best run's, with its interval from the paired bootstrap."""
     looks, unit = _looks(comparison), comparison["unit"]
     labels = [*looks]
     pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == labels[0]}
@@ -220,8 +208,8 @@ def _plot_differences(comparison: Comparison) -> Figure:
         pair = pairs.get(label)
         marker = "diamond" if pair is None else "circle-open" if pair["verdict"] == "noise" else "circle"
         x, *ends = (_numbers([pair[key] if pair else 0.0]) for key in ("mean", "low", "high"))
-        said = _say_difference(pair) if pair else "best"
-        point = {"width": 0.0, "marker": marker, "size": 10.0, "notes": (said,)}
+        note = _say_difference(pair) if pair else "best"
+        point = {"width": 0.0, "marker": marker, "size": 10.0, "notes": (note,)}
         marks.append(Curve(x=x, y=np.array([float(i)]), ends=np.array(ends), **looks[label], **point))
     text = (
         f"Difference to {labels[0]} with its 95 % interval, from a paired bootstrap over "
@@ -231,18 +219,17 @@ def _plot_differences(comparison: Comparison) -> Figure:
     low, high = (np.array([0.0, *_numbers(pair[end] for pair in pairs.values())]) for end in ("low", "high"))
     limit = _limit(np.maximum(-low, high), FRAME)
     limits = 1.1 * max(-limit, min(np.nanmin(low), -0.1 * limit)), 1.1 * limit
-    above = Axis("MAE above the best", unit, limits=limits)
-    return _arrange_rows("Differences to the best run", text, marks, above, labels)
+    x_axis = Axis("MAE above the best", unit, limits=limits)
+    return _arrange_rows("Differences to the best run", text, marks, x_axis, labels)
 
 
 def _say_difference(pair: PairRow) -> str:
-    known = [format_digits(end, 2) for end in (pair["mean"], pair["low"], pair["high"]) if end is not None]
-    said = f"{known[0]} [{known[1]}, {known[2]}]" if len(known) == 3 else "diverged"
-    return f"{said}, {pair['verdict']}"
+    numbers = [format_digits(end, 2) for end in (pair["mean"], pair["low"], pair["high"]) if end is not None]
+    interval = f"{numbers[0]} [{numbers[1]}, {numbers[2]}]" if len(numbers) == 3 else "diverged"
+    return f"{interval}, {pair['verdict']}"
 
 
 def _plot_by_horizon(comparison: Comparison) -> Figure:
-    """Return the error over the first seconds of the long test rollouts."""
     rollouts, horizon = comparison["evaluation"]["long_rollouts"], comparison["evaluation"]["long_horizon"]
     text = f"Mean position error over the first seconds of {rollouts} test rollouts of {horizon:g} s."
     panel = _draw_errors_over(comparison, "by_horizon", Axis("horizon", "s"))
@@ -250,7 +237,6 @@ def _plot_by_horizon(comparison: Comparison) -> Figure:
 
 
 def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"], title: str, axis: Axis) -> Figure:
-    """Return the error of short test rollouts over their measured speed or load."""
     windows = comparison[section]["windows"]
     text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label} with"
     return Figure(title, f"{text} equal counts.", (_draw_errors_over(comparison, section, axis, "circle"),))
@@ -269,7 +255,6 @@ def _draw_errors_over(
 
 
 def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
-    """Yield the friction curve of each joint; with a band if friction depends on more than the velocity."""
     for joint, name in enumerate(comparison["joints"]):
         marks: list[Mark] = [Stripe(low=0.0, high=0.0, level=True, color=GRID)]
         for label, look in _looks(comparison).items():
@@ -286,12 +271,11 @@ def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
 
 
 def _plot_autocorrelation(comparison: Comparison) -> Figure:
-    """Return the autocorrelation of the errors, with the band in which white noise lies."""
     section = comparison["autocorrelation"]
     lag, band = _numbers(section["lag"]), section["band"]
     noise = {"level": True, "name": "white noise, 95 %", "color": SOFT, "opacity": 0.3}
-    left = ((look, section["coefficient"][label]) for label, look in _looks(comparison).items())
-    curves = [Curve(x=lag, y=_numbers(coefficient), **look) for look, coefficient in left]
+    coefficients = ((look, section["coefficient"][label]) for label, look in _looks(comparison).items())
+    curves = [Curve(x=lag, y=_numbers(coefficient), **look) for look, coefficient in coefficients]
     text = "Autocorrelation of the position error: a complete model leaves white noise, within the grey "
     text += f"band (±{band:.2g}). Mean over {comparison['evaluation']['long_rollouts']} long test rollouts."
     marks = [Stripe(low=-band, high=band, **noise), *curves]
@@ -300,16 +284,15 @@ def _plot_autocorrelation(comparison: Comparison) -> Figure:
 
 
 def _plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
-    """Return the training loss of every fit, with the reported iteration marked."""
     marks: list[Curve] = []
     looks = _looks(comparison)
     for run in runs:
         fit, history, look = run.result["fit"], run.curves.history, looks[run.label]
         iteration, loss = history["iteration"].astype(np.float64), history["loss"]
         loss = np.fmin.accumulate(loss) if fit["method"] == "grid" else loss
-        at = iteration == fit["best_iteration"]
+        reported = iteration == fit["best_iteration"]
         marks.append(Curve(x=iteration, y=loss, **look))
-        marks.append(Curve(x=iteration[at], y=loss[at], **{**REPORTED, **look, "name": ""}))
+        marks.append(Curve(x=iteration[reported], y=loss[reported], **{**REPORTED, **look, "name": ""}))
     text = "Training loss over the iterations; the reported iteration is marked. Grid search: lowest loss so far."
     if any(entry["option"].startswith(("loss.", "segments.")) for entry in comparison["differences"]):
         text += " Runs with different segments or losses are not comparable here."

@@ -45,13 +45,9 @@ _QUANTITIES = ("position", "velocity", "torque")
 
 
 def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Motion) -> None:
-    """Write the page of a command.
+    """Write the page of a command and its expected motion into the command's folder.
 
-    Args:
-        path: Path of the page, in the command's folder.
-        note: Content of `excitation.json`.
-        interval: Time between samples [s].
-        motion: The command and its expected motion.
+    `note` is the content of `excitation.json`, `interval` the time between samples [s].
 
     Raises:
         OutputError: The page cannot be written.
@@ -87,24 +83,26 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
     """Yield the checks of the command; `note` is the content of `excitation.json`."""
     unknown = [row["name"] for row in note["parameters"] if not row["identifiable"]]
     used = max(note["limits"], key=lambda row: row["share"])
-    most = f"the {used['quantity']}{_of_joint(note, used['joint'])}, {100 * used['share']:.0f} % of its limit"
+    largest = f"the {used['quantity']}{_of_joint(note, used['joint'])}, {100 * used['share']:.0f} % of its limit"
     if unknown:
-        text = f"Not identifiable by this command: {', '.join(unknown)}. Most is taken of {most}. State such a value as"
+        text = (
+            f"Not identifiable by this command: {', '.join(unknown)}. Most is taken of {largest}. State such a value as"
+        )
         yield Check("caution", "Parameters", f"{text} known, take a law without it, or allow and record more.")
     else:
         yield Check("good", "Parameters", f"Each of the {len(note['parameters'])} parameters will be known.")
     rows = [row for row in note["parameters"] if None not in (row["share"], row["share_now"])]
-    if known := [row["name"] for row in rows if row["share_now"] <= row["share"]]:
-        text = f"The run knows {', '.join(known)} as well already: design a longer command (seconds), with longer"
+    if no_gain := [row["name"] for row in rows if row["share_now"] <= row["share"]]:
+        text = f"The run knows {', '.join(no_gain)} as well already: design a longer command (seconds), with longer"
         yield Check(
             "caution", "Gain", f"{text} segments (segments.length), or in wider limits; or fit both recordings."
         )
-    yield Check("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {most}.")
-    noise, unit = note["noise"], {row["quantity"]: row["unit"] for row in note["limits"]}
+    yield Check("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {largest}.")
+    noise, units = note["noise"], {row["quantity"]: row["unit"] for row in note["limits"]}
     text = (
-        f"Noise alone is foreseen: an encoder step of {noise['quantum']:.3g} {unit['position']}, position noise of "
-        f"{noise['position_noise']:.3g} {unit['position']} and velocity noise of {noise['velocity_noise']:.3g} "
-        f"{unit['velocity']}. Half the noise, half the interval. What the law lacks, and a delay or a mass that is "
+        f"Noise alone is foreseen: an encoder step of {noise['quantum']:.3g} {units['position']}, position noise of "
+        f"{noise['position_noise']:.3g} {units['position']} and velocity noise of {noise['velocity_noise']:.3g} "
+        f"{units['velocity']}. Half the noise, half the interval. What the law lacks, and a delay or a mass that is "
         "wrong, are not foreseen."
     )
     yield Check("note", "Noise", text)
@@ -118,43 +116,42 @@ def _of_joint(note: Mapping[str, Any], joint: str) -> str:
 
 
 def _say_headline(note: Mapping[str, Any]) -> str:
-    """Describe the length of the command, and how many parameters it determines and how accurately."""
     rows = [row for row in note["parameters"] if row["identifiable"] and row["share"] is not None]
     command, count = note["command"], len(note["parameters"])
-    known = sum(row["identifiable"] for row in note["parameters"])
-    text = f"{command['seconds']:g} s at {command['rate']:g} samples/s, after which {known} of {count} parameters "
+    identifiable = sum(row["identifiable"] for row in note["parameters"])
+    text = (
+        f"{command['seconds']:g} s at {command['rate']:g} samples/s, after which {identifiable} of {count} parameters "
+    )
     text += f"of {note['model']} will be known"
     if not rows:
         return f"{text}."
     best, worst = (choose(rows, key=lambda row: row["share"]) for choose in (min, max))
-    said = f"{best['name']} to ± {say_percent(best['share'])}"
-    return f"{text}: {said}, the best, {worst['name']} to ± {say_percent(worst['share'])}, the worst."
+    accuracy = f"{best['name']} to ± {say_percent(best['share'])}"
+    return f"{text}: {accuracy}, the best, {worst['name']} to ± {say_percent(worst['share'])}, the worst."
 
 
 def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Group rows by parameter; each row is a joint, or joints that share the value."""
     grouped: dict[str, list[Any]] = {}
     for row in note["parameters"]:
         full, _, joint = row["name"].partition("/")
         grouped.setdefault(full, []).append({**row, "joint": joint})
-    found = []
+    groups = []
     for full, rows in grouped.items():
         owner, _, name = full.partition(".")
         shares = sorted(row["share"] for row in rows if row["identifiable"] and row["share"] is not None)
         ends = dict.fromkeys(say_percent(share) for share in (*shares[:1], *shares[-1:]))
         unknown = sum(not row["identifiable"] for row in rows)
-        whose = "not identifiable" if len(rows) == 1 else f"{unknown} of {len(rows)} not identifiable"
+        doubt = "not identifiable" if len(rows) == 1 else f"{unknown} of {len(rows)} not identifiable"
         shown = {"name": name, "owner": owner, "rows": rows, "known": f"± {' to '.join(ends)}" if ends else ""}
-        found.append({**shown, "doubt": whose if unknown else ""})
-    return found
+        groups.append({**shown, "doubt": doubt if unknown else ""})
+    return groups
 
 
 def _list_joints(note: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """List the joints with their use of the limits; the joint with the largest share is unfolded."""
     rows = {joint: [row for row in note["limits"] if row["joint"] == joint] for joint in note["joints"]}
-    shares = {joint: max(own, key=lambda row: row["share"]) for joint, own in rows.items()}
-    most = max(shares, key=lambda joint: shares[joint]["share"])
-    return [{"name": j, "limits": own, "most": shares[j], "open": j == most} for j, own in rows.items()]
+    shares = {joint: max(limits, key=lambda row: row["share"]) for joint, limits in rows.items()}
+    largest = max(shares, key=lambda joint: shares[joint]["share"])
+    return [{"name": j, "limits": limits, "most": shares[j], "open": j == largest} for j, limits in rows.items()]
 
 
 def _find_limits(note: Mapping[str, Any], joint: int) -> dict[str, Any]:
@@ -163,7 +160,6 @@ def _find_limits(note: Mapping[str, Any], joint: int) -> dict[str, Any]:
 
 
 def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
-    """Plot command and motion of one joint over time, with limits: position, velocity and torque."""
     limits, time = _find_limits(note, joint), interval * np.arange(len(motion.ctrl))
     commanded = {"position": motion.ctrl, "velocity": motion.speed}
     expected = {"position": motion.qpos, "velocity": motion.qvel, "torque": motion.torque}
@@ -178,9 +174,9 @@ def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint
         marks: list[Mark] = [*_draw_limits(limits[quantity], level=True)]
         marks += [Curve(x=time, y=curve, name=name, color=colors[name]) for name, curve in curves.items()]
         panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis))
-    said = ", ".join(_say_reached(limits[quantity]) for quantity in _QUANTITIES)
+    ends = ", ".join(_say_reached(limits[quantity]) for quantity in _QUANTITIES)
     text = (
-        f"Command of {note['joints'][joint]}, and what MuJoCo C expects of it; dashed: the limits. It reaches {said}."
+        f"Command of {note['joints'][joint]}, and what MuJoCo C expects of it; dashed: the limits. It reaches {ends}."
     )
     text += f" Outside the frame: the limits of {' and '.join(outside)}." if outside else ""
     return Figure(f"Motion of {note['joints'][joint]}", text, tuple(panels), height=620)
@@ -198,13 +194,12 @@ def _draw_limits(row: Mapping[str, Any], level: bool) -> Iterator[Mark]:
 
 def _scale(row: Mapping[str, Any], quantity: str, curves: Sequence[Float[np.ndarray, "samples"]]) -> tuple[Axis, bool]:
     """Return an axis, and whether it includes the limits; it leaves them out if they would flatten the motion."""
-    moved, ends = np.concatenate(curves), np.array(row["allowed"])
-    near = bool(np.ptp(ends) <= ROOM * np.ptp(moved))
-    return Axis(quantity, row["unit"], limits=frame([np.concatenate([moved, ends]) if near else moved])), near
+    values, ends = np.concatenate(curves), np.array(row["allowed"])
+    near = bool(np.ptp(ends) <= ROOM * np.ptp(values))
+    return Axis(quantity, row["unit"], limits=frame([np.concatenate([values, ends]) if near else values])), near
 
 
 def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
-    """Plot expected velocity over position of one joint, with limits."""
     limits, name = _find_limits(note, joint), note["joints"][joint]
     position, velocity = motion.qpos[:, joint], motion.qvel[:, joint]
     x, _ = _scale(limits["position"], "position", [position])
@@ -216,7 +211,6 @@ def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
 
 
 def _plot_spectrum(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
-    """Plot the amplitude spectrum of the commanded velocity of one joint."""
     name, unit = note["joints"][joint], _find_limits(note, joint)["velocity"]["unit"]
     speed = motion.speed[:, joint]
     frequency = np.fft.rfftfreq(len(speed), interval)

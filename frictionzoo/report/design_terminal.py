@@ -9,21 +9,18 @@ from frictionzoo.core.telling import escape_all, say_percent
 
 
 def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
-    """Summarise the expected accuracy of each parameter, the use of the limits, and the folder of the files.
-
-    Args:
-        note: Content of `excitation.json`.
-        folder: Its folder.
-    """
+    """Summarise `excitation.json`: accuracy of each parameter, use of the limits, and the folder of the files."""
     note = escape_all(note)
     command, noise = note["command"], note["noise"]
     several = len(note["joints"]) > 1
     rows = [("parameter", "value", "known to", "unit", "")]
     for row in note["parameters"]:
-        known = row["identifiable"]
+        identifiable = row["identifiable"]
         share = "" if row["share"] != row["share"] else say_percent(row["share"])
-        width = f"+- {row['half_width']:.2g}" if known else ""
-        rows.append((row["name"], f"{row['value']:.4g}", width, row["unit"], share if known else "not identifiable"))
+        width = f"+- {row['half_width']:.2g}" if identifiable else ""
+        rows.append(
+            (row["name"], f"{row['value']:.4g}", width, row["unit"], share if identifiable else "not identifiable")
+        )
     used: list[tuple[str, ...]] = [
         ("in MuJoCo C", *(["joint"] if several else []), "from", "to", "allowed", "unit", "of the limit")
     ]

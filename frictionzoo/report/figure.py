@@ -23,9 +23,7 @@ class Mark:
     Attributes:
         name: Name in the legend and under the pointer; a mark without a name has no hover text.
         color: Colour on paper and on a light page.
-        dash: Dash pattern of the line.
-        opacity: Opacity from 0 to 1.
-        run: Index of its run, which a page may bring to the front; None for none.
+        run: Index of its run, which a page may bring to the front.
         legend: Whether the legend names it.
         notes: Text for each value.
     """
@@ -44,7 +42,6 @@ class Curve(Mark):
     """Line or points, with or without intervals.
 
     Attributes:
-        x: Values on the horizontal axis.
         y: Values on the vertical axis; NaN for a missing value.
         width: Line width [px of a page]; 0 for points only.
         marker: Marker of the points, with plotly's name; empty for none.
@@ -90,7 +87,6 @@ class Bars(Mark):
         length: Length of each bar; NaN for a missing value.
         width: Width on the other axis.
         spread: Half the length of the whisker at the end of each bar.
-        upright: Whether the bars are vertical.
         pale: Whether the bars are pale, and hatched on paper.
     """
 
@@ -104,11 +100,9 @@ class Bars(Mark):
 
 @dataclass(frozen=True)
 class Axis:
-    """Axis of a panel.
+    """Axis of a panel, for a quantity and its unit.
 
     Attributes:
-        label: Name of the quantity.
-        unit: Unit of the quantity.
         log: Whether it is logarithmic.
         limits: First and last value; None to fit the marks.
         ticks: Names of the values 0, 1, 2 and so on, instead of numbers.
@@ -137,8 +131,6 @@ class Panel:
 
     Attributes:
         marks: Marks from back to front; of several runs, the first is in front on paper.
-        x: Horizontal axis.
-        y: Vertical axis.
         note: Short text above the panel.
         share: Height relative to the other panels of the figure.
         magnified: Limits of both axes of a stretch that is magnified on paper, where nobody can zoom.
@@ -157,11 +149,10 @@ class Figure:
     """Figure of one or more panels, stacked on one horizontal axis.
 
     Attributes:
-        title: Heading.
         text: Content in a few sentences, also for readers who cannot see the figure.
         panels: Panels from top to bottom.
         time: Whether the horizontal axis is the time of a rollout; all such figures of a page zoom together.
-        rollout: Index of the long test rollout that it shows; None if it does not show a single one.
+        rollout: Index of the single long test rollout that it shows.
         height: Height on a page [px]; None for the default.
         small: Whether it is one of many small figures on a page.
     """
@@ -180,7 +171,6 @@ class Sheet:
     """Figures on one printed sheet.
 
     Attributes:
-        title: Title above all figures.
         figures: Figures with the same number of panels.
         height: Height of a row of figures [inch].
         columns: Number of figures in a row.
@@ -216,9 +206,8 @@ def frame(
 ) -> tuple[float, float]:
     """Return limits of a vertical axis; a drive without friction may run away and leave the frame.
 
-    Args:
-        shown: Curves that are shown completely; NaN after they have ended.
-        others: Curves that may extend the axis by at most half the range of `shown` above and below.
+    The curves `shown`, NaN after they have ended, are shown completely. The `others` may extend the axis by at most
+    half the range of `shown` above and below.
     """
     lowest, highest = float(np.nanmin(shown)), float(np.nanmax(shown))
     room = highest - lowest or 1.0
@@ -236,12 +225,8 @@ def scale_errors(
 ) -> Axis:
     """Return an axis for errors: from 0 upwards, or logarithmic if one curve would flatten another.
 
-    Args:
-        label: Name of the error.
-        unit: Unit of the error.
-        curves: Error curves.
-        tops: Upper ends of bands around the curves; they may leave the frame.
-        widest: Largest ratio of a curve's maximum to the smallest maximum; curves beyond it leave the frame.
+    Curves leave the frame if the ratio of their maximum to the smallest maximum exceeds `widest`. The upper ends of
+    bands, `tops`, may leave it too.
     """
     positive = [curve[curve > 0] for curve in curves if (curve > 0).any()]
     lowest = min((curve.max() for curve in positive), default=1.0)
@@ -255,10 +240,7 @@ def scale_errors(
 
 
 def scale_values(label: str, unit: str, values: Float[np.ndarray, "values"], apart: float) -> Axis:
-    """Return an axis for values: logarithmic if all are positive and the largest is `apart` times the smallest.
-
-    NaN and infinite values are ignored.
-    """
+    """Return an axis for finite values: logarithmic if all are positive and span at least a factor of `apart`."""
     finite = values[np.isfinite(values)]
     low, high = finite.min(initial=np.inf), finite.max(initial=0.0)
     if low <= 0 or high < apart * low:

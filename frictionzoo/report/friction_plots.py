@@ -27,10 +27,7 @@ _OVER = {  # name of each axis, and its unit or its dimension in UNITS
 
 
 def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
-    """Yield the friction curves of each joint over all inputs of the model.
-
-    A figure shows the model with its band and the friction implied by recordings.
-    """
+    """Yield friction curves of each joint over all inputs of the model, with the friction implied by recordings."""
     for joint in range(len(result["joints"])):
         for over in curves.portraits:
             yield _plot_portrait(result, curves, joint, over)
@@ -43,18 +40,20 @@ def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> No
         OutputError: The file cannot be written.
     """
     joints = result["joints"]
-    figures = [replace(_plot_portrait(result, curves, at, "velocity"), title=name) for at, name in enumerate(joints)]
+    figures = [
+        replace(_plot_portrait(result, curves, joint, "velocity"), title=name) for joint, name in enumerate(joints)
+    ]
     sheet = Sheet(title, figures, 3.6, columns=min(len(figures), COLUMNS), headings=len(figures) > 1)
     with_matplotlib.save_figure(with_matplotlib.draw(sheet), path)
 
 
 def _plot_portrait(result: Result, curves: Curves, joint: int, over: str) -> Figure:
     units, name, (label, unit) = find_units(result), result["joints"][joint], _OVER[over]
-    alone = Portrait(*(part[:, joint] for part in curves.portraits[over]))
+    portrait = Portrait(*(part[:, joint] for part in curves.portraits[over]))
     x = Axis(label, units.get(unit, unit))
     y = Axis("friction" if over == "velocity" else "friction opposing the motion", units["torque"])
-    text = f"Friction of {name} over {label}: {_say_portrait(alone, units['torque'])}"
-    panel = Panel(list(_draw_portrait(alone, over == "velocity")), x, y)
+    text = f"Friction of {name} over {label}: {_say_portrait(portrait, units['torque'])}"
+    panel = Panel(list(_draw_portrait(portrait, over == "velocity")), x, y)
     return Figure(f"Friction of {name} over {label}", text, (panel,))
 
 
@@ -63,27 +62,27 @@ def _draw_portrait(portrait: Portrait, crosses: bool) -> Iterator[Mark]:
         yield Stripe(low=0.0, high=0.0, level=True)
         yield Stripe(low=0.0, high=0.0)
     name = "model"
-    if (sure := np.isfinite(portrait.low)).any():
+    if (bounded := np.isfinite(portrait.low)).any():
         name = "model, 95 % interval"
-        at, low, high = (part[sure] for part in (portrait.at, portrait.low, portrait.high))
-        yield Band(x=at, low=low, high=high, name=name, color=MODEL)
+        grid, low, high = (part[bounded] for part in (portrait.at, portrait.low, portrait.high))
+        yield Band(x=grid, low=low, high=high, name=name, color=MODEL)
     yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, color=MODEL)
-    if (seen := np.isfinite(portrait.where)).any():
-        where, implied, *ends = (part[seen] for part in portrait[4:])
+    if (filled := np.isfinite(portrait.where)).any():
+        where, implied, *ends = (part[filled] for part in portrait[4:])
         look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "reach": np.stack(ends)}
         yield Curve(x=where, y=implied, name="implied by the recorded torque", **look)
 
 
 def _say_portrait(portrait: Portrait, unit: str) -> str:
-    seen = np.isfinite(portrait.where)
-    if not seen.any():
+    filled = np.isfinite(portrait.where)
+    if not filled.any():
         return "the model; the recordings determine no implied friction."
-    off = portrait.implied[seen] - np.interp(portrait.where[seen], portrait.at, portrait.law)
-    size = float(np.abs(portrait.implied[seen]).mean()) or 1.0
+    gap = portrait.implied[filled] - np.interp(portrait.where[filled], portrait.at, portrait.law)
+    size = float(np.abs(portrait.implied[filled]).mean()) or 1.0
     return (
         "the model, and the friction implied by the recorded torque in motion: its median and 10 to 90 % range in "
-        f"{seen.sum()} bin{'s' * bool(seen.sum() > 1)}. The medians differ from the curve by "
-        f"{format_number(float(np.abs(off).mean()))} {unit} on average, {say_percent(np.abs(off).mean() / size)} of "
+        f"{filled.sum()} bin{'s' * bool(filled.sum() > 1)}. The medians differ from the curve by "
+        f"{format_number(float(np.abs(gap).mean()))} {unit} on average, {say_percent(np.abs(gap).mean() / size)} of "
         "the friction."
     )
 
@@ -94,9 +93,9 @@ def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:
     rows = {row["joint"]: row for row in (result["residual"] or {"by_joint": []})["by_joint"]}
     for joint, name in enumerate(result["joints"] if curves.left.size else ()):
         look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "size": 2.5, "opacity": 0.7}
-        left = Curve(x=curves.left_time, y=curves.left[:, joint], name="residual torque", color=MODEL, **look)
+        residual = Curve(x=curves.left_time, y=curves.left[:, joint], name="residual torque", color=MODEL, **look)
         size = rows[name]["residual"] if name in rows else None
-        marks = [Stripe(low=0.0, high=0.0, level=True), left]
+        marks = [Stripe(low=0.0, high=0.0, level=True), residual]
         x = Axis("time in the training data", "s")
         text = f"Residual torque of {name} in motion"
         text += "." if size is None else f": root mean square {format_number(size)} {unit}."

@@ -60,35 +60,33 @@ def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mappin
 
 
 def _plot_recording(recording: Recording, joint: int, survey: Mapping[str, Any]) -> Figure:
-    """Return position and command above velocity, over time, with spikes marked."""
     units = survey["units"]
     time = recording.time - recording.time[0]
     position, spikes = recording.signals["qpos"][:, joint], find_spikes(recording.signals["qpos"][:, joint])
-    above: list[Mark] = [Curve(x=time, y=position, name="position")]
+    upper_marks: list[Mark] = [Curve(x=time, y=position, name="position")]
     ctrl = recording.signals["ctrl"]
     if ctrl.shape[1] > joint:
-        above.insert(0, Curve(x=time, y=ctrl[:, joint], name="command", color=BASELINE))
+        upper_marks.insert(0, Curve(x=time, y=ctrl[:, joint], name="command", color=BASELINE))
     if len(spikes):
         look: dict[str, Any] = {"name": "spike", "color": BEST}
-        above.append(Curve(x=time[spikes], y=position[spikes], width=0.0, marker="circle-open", size=9.0, **look))
+        upper_marks.append(Curve(x=time[spikes], y=position[spikes], width=0.0, marker="circle-open", size=9.0, **look))
     smooth = repair_spikes(position)
     grid, _ = regular_stretch(time, smooth)
     velocity = derive_velocity(time, smooth)
-    below: list[Mark] = []
+    lower_marks: list[Mark] = []
     if "qvel" in recording.signals:
-        below.append(Curve(x=time, y=recording.signals["qvel"][:, joint], name="velocity, measured"))
+        lower_marks.append(Curve(x=time, y=recording.signals["qvel"][:, joint], name="velocity, measured"))
     if len(velocity) == len(grid):
-        below.append(Curve(x=grid, y=velocity, name="velocity, from the position", color=MODEL))
+        lower_marks.append(Curve(x=grid, y=velocity, name="velocity, from the position", color=MODEL))
     axis = Axis("time", "s")
-    upper = Panel(above, axis, Axis("position, command"), share=3.0)
-    lower = Panel(below, axis, Axis("velocity", units["velocity"]), share=2.0)
+    upper = Panel(upper_marks, axis, Axis("position, command"), share=3.0)
+    lower = Panel(lower_marks, axis, Axis("velocity", units["velocity"]), share=2.0)
     text = f"{recording.name}: position [{units['position']}] and command at the top, velocity at the bottom; the "
     text += "estimate covers the longest stretch without a gap."
     return Figure(_name(recording.name, joint, survey), text, (upper, lower))
 
 
 def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
-    """Yield histograms of quantities over the recordings."""
     recordings = survey["recordings"]
     yield from _plot_spread("Sample interval", "ms", [1e3 * entry["timing"]["interval"] for entry in recordings])
     yield from _plot_spread("Uneven intervals", "%", [100 * entry["timing"]["jitter"] for entry in recordings])
@@ -104,12 +102,11 @@ def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
 
 
 def _plot_spread(title: str, unit: str, values: Sequence[float]) -> Iterator[Figure]:
-    """Yield a histogram over the recordings; nothing for fewer than two values."""
     if len(values) < 2:
         return
-    known = np.array(values, float)
-    bars = _count(known, float(known.min()), float(known.max()), "recordings", bins=31, share=False)
-    text = f"{np.min(known):.4g} to {np.max(known):.4g} {unit}, median {np.median(known):.4g}."
+    numbers = np.array(values, float)
+    bars = _count(numbers, float(numbers.min()), float(numbers.max()), "recordings", bins=31, share=False)
+    text = f"{np.min(numbers):.4g} to {np.max(numbers):.4g} {unit}, median {np.median(numbers):.4g}."
     panel = Panel((bars,), Axis(title.lower(), unit), Axis("recordings"))
     yield Figure(title, text, (panel,), height=SMALL, small=True)
 

@@ -36,23 +36,23 @@ def summarise(survey: Mapping[str, Any], folder: Path) -> str:
 def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
     """Yield rows of the table of quantities: name, lowest, median and highest over the recordings, unit."""
     timing, units = survey["timing"], survey["units"]
-    small = " or ".join(f"m{unit}" for unit in units["position"].split(" or "))
+    small_unit = " or ".join(f"m{unit}" for unit in units["position"].split(" or "))
     yield from _row("sample interval", timing["interval"], "ms", 1e3)
     yield from _row("intervals off by more than 5 %", timing["jitter"], "%", 100.0)
     for joint in survey["joints"]:
-        which = f" {joint['name']}" if len(survey["joints"]) > 1 else ""
-        yield _bounds(f"position{which}", joint["position"], units["position"])
-        yield _bounds(f"velocity{which}", joint["velocity"], units["velocity"])
-        yield from _row(f"position quantum{which}", joint["position_quantum"], small, 1e3)
-        yield from _row(f"velocity lag{which}", joint["velocity_lag"], "ms", 1e3)
-        yield from _row(f"at rest{which}", joint["rest"], "%", 100.0)
+        suffix = f" {joint['name']}" if len(survey["joints"]) > 1 else ""
+        yield _bounds(f"position{suffix}", joint["position"], units["position"])
+        yield _bounds(f"velocity{suffix}", joint["velocity"], units["velocity"])
+        yield from _row(f"position quantum{suffix}", joint["position_quantum"], small_unit, 1e3)
+        yield from _row(f"velocity lag{suffix}", joint["velocity_lag"], "ms", 1e3)
+        yield from _row(f"at rest{suffix}", joint["rest"], "%", 100.0)
         if delay := joint["delay"]:
             values = {"low": delay["low"], "median": delay["seconds"], "high": delay["high"]}
-            yield from _row(f"command delay{which}, quartiles", values, "ms", 1e3)
+            yield from _row(f"command delay{suffix}, quartiles", values, "ms", 1e3)
     for command in survey["commands"]:
-        which = f" {command['name']}" if len(survey["commands"]) > 1 else ""
-        yield _bounds(f"command{which}", command["range"], "")
-        yield from _row(f"command at a limit{which}", command["saturated"], "%", 100.0)
+        suffix = f" {command['name']}" if len(survey["commands"]) > 1 else ""
+        yield _bounds(f"command{suffix}", command["range"], "")
+        yield from _row(f"command at a limit{suffix}", command["saturated"], "%", 100.0)
     if survey["supply"]:
         yield from _row("supply, measured", survey["supply"]["measured"], "V", 1.0)
 
@@ -68,7 +68,6 @@ def _bounds(name: str, bounds: Sequence[float], unit: str) -> Row:
 
 
 def _tell(findings: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield the findings as wrapped text, most severe first."""
     order, width = list(MARKS)[::-1], min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
     for finding in sorted(findings, key=lambda finding: order.index(finding["state"])):
         text = f"{finding['title']}: {finding['text']}"

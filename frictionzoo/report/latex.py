@@ -76,7 +76,6 @@ def _tabulate_run(run: RunRow, exponent: int, comparison: Comparison) -> str:
 
 
 def _mark(label: str, comparison: Comparison) -> str:
-    """Return the footnote signs after a run's name."""
     chosen = comparison["recommendation"]
     if chosen is None:
         return ""
@@ -95,7 +94,6 @@ def _scale(error: float | None, exponent: int) -> str:
 
 
 def _describe(comparison: Comparison) -> str:
-    """Return the caption: data, metric and the meaning of the signs."""
     data, evaluation, reference = comparison["data"], comparison["evaluation"], comparison["reference"]
     against = escape(reference) if reference else "the same drive identified without friction"
     return (
@@ -109,8 +107,7 @@ def _describe(comparison: Comparison) -> str:
 
 
 def _notes(comparison: Comparison) -> list[str]:
-    """Return lines below the table: diverged rollouts, failed jobs, and doubts about the reference."""
-    lost = [
+    diverged = [
         f"{escape(run['label'])}, {run[part]['diverged']} of {run[part]['rollouts']} on {part} data"
         for run in comparison["runs"]
         for part in ("train", "test")
@@ -118,8 +115,8 @@ def _notes(comparison: Comparison) -> list[str]:
     ]
     failed = []
     for failure in comparison["failures"]:
-        law = f" ({escape(failure['model'])})" if failure["model"] else ""
-        failed.append(f"{escape(failure['run'])}{law}: {escape(failure['reason'])}")
+        model = f" ({escape(failure['model'])})" if failure["model"] else ""
+        failed.append(f"{escape(failure['run'])}{model}: {escape(failure['reason'])}")
     doubted = [escape(comparison["reference_doubt"])] if comparison["reference_doubt"] else []
-    notes = {"Diverged rollouts, excluded": lost, "No result": failed, "Change": doubted}
+    notes = {"Diverged rollouts, excluded": diverged, "No result": failed, "Change": doubted}
     return [f"{title}: {'; '.join(entries)}." for title, entries in notes.items() if entries]

@@ -29,15 +29,10 @@ def render_page(
     state: Mapping[str, Any] | None = None,
     **content: Any,
 ) -> bytes:
-    """Render one self-contained page.
+    """Render one self-contained page from a template, relative to the package, that extends `report/page.html.jinja`.
 
-    Args:
-        template: Template file relative to the package; it extends `report/page.html.jinja`.
-        sections: Figures by the template's name for them.
-        checks: Checks that the page lists.
-        points: Largest number of points per curve.
-        state: Further data for the page's script.
-        content: Further variables of the template, such as the program's `version`.
+    `sections` has figures by the template's name for them, with at most `points` points per curve. `state` is data for
+    the page's script, `content` for the template, such as the program's `version`.
     """
     drawn = {name: [with_plotly.draw(figure, points) for figure in figures] for name, figures in sections.items()}
     names, figures = list(sections), [figure for figures in drawn.values() for figure in figures]
@@ -72,7 +67,7 @@ def pack_library(path: str) -> str:
 
 def _overview(parameter: ParameterRow) -> dict[str, Any]:
     """Summarise a parameter of several joints in one line: mean or range, and doubtful values."""
-    rows, first = [row for row in parameter["by_joint"] if row["identified"]], parameter["by_joint"][0]
+    rows, first_row = [row for row in parameter["by_joint"] if row["identified"]], parameter["by_joint"][0]
     values = read_values(parameter)
     values = values[~np.isnan(values)]
     ended = sum(row["at_bound"] for row in rows)
@@ -82,8 +77,8 @@ def _overview(parameter: ParameterRow) -> dict[str, Any]:
     spread = low if low == high else f"{low} to {high}"
     return {
         "value": format_number(float(values.mean())) if rows else spread,
-        "said": (_say_whose(first) if len(parameter["by_joint"]) == 1 else spread) if rows else "known",
-        "doubt": ", ".join(what if len(rows) == 1 else f"{n} of {len(rows)} {what}" for n, what in counts if n),
+        "said": (_say_whose(first_row) if len(parameter["by_joint"]) == 1 else spread) if rows else "known",
+        "doubt": ", ".join(label if len(rows) == 1 else f"{n} of {len(rows)} {label}" for n, label in counts if n),
     }
 
 
@@ -92,7 +87,6 @@ def _say_whose(row: ValueRow) -> str:
 
 
 def _place(row: ValueRow, value: float) -> float:
-    """Return the position of a value between the bounds of its row [%], see `place_between_bounds`."""
     return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
 
 
@@ -107,9 +101,9 @@ def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
     if not width:
         return ""
     least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
-    whose = " of the identifiable values" if any(row["identifiable"] is False for row in rows.values()) else ""
-    said = f"Least certain{whose}: {least}, ± {say_percent(width[least])}"
-    return f"{said}; most certain: {most}, ± {say_percent(width[most])}." if most != least else f"{said}."
+    scope = " of the identifiable values" if any(row["identifiable"] is False for row in rows.values()) else ""
+    text = f"Least certain{scope}: {least}, ± {say_percent(width[least])}"
+    return f"{text}; most certain: {most}, ± {say_percent(width[most])}." if most != least else f"{text}."
 
 
 _FILTERS = {

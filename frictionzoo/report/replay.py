@@ -45,20 +45,15 @@ Shape = dict[str, Any]
 def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves, timestep: float) -> dict[str, Any]:
     """Return the data from which a page shows a run's long test rollouts in 3D, without names of bodies or joints.
 
-    Quaternions are (x, y, z, w), lengths in m, angles in rad.
-
-    Args:
-        bench: Bench as it was simulated.
-        values: Identified parameters of the bench; an encoder offset shifts the drawn positions.
-        curves: Curves of the run.
-        timestep: Time between the samples of the curves [s].
+    Quaternions are (x, y, z, w), lengths in m, angles in rad; curves have a sample every `timestep` [s]. An encoder
+    offset in the bench's `values` shifts the drawn positions.
 
     Returns:
         `bodies`, each with `parent`, pose in the parent's frame, and joints; `shapes` and their `meshes`; `scenery`,
-        the look of fixed shapes; `rollouts`, best, median and worst first, each with the `positions` of every motion
-        by joint and frame in units of `finest`; `count`, the number of long test rollouts; `step` between frames and
-        `duration` [s]; `motions` with their looks; `view`, the initial direction of view; `inertia`, whether shapes
-        are inertia boxes because the model has no geoms.
+        the look of fixed shapes; `rollouts`, best, median and worst first, each with the `positions` of every motion by
+        joint and frame in units of `finest`; `count`, the number of long test rollouts; `step` between frames and
+        `duration` [s]; `motions` with their looks; `view`, the initial direction of view; `inertia`, whether shapes are
+        inertia boxes because the model has no geoms.
     """
     model = _open(bench)
     joints = [model.joint(name).id for name in bench.joints]
@@ -72,7 +67,7 @@ def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves
     for shape in shapes:
         shape["moves"] = bool(moving[shape["body"]])
     offset = values.get("position_offset", np.zeros(bench.nv))
-    every = _space_frames(curves, timestep)
+    stride = _space_frames(curves, timestep)
     return {
         "bodies": _list_bodies(model, joints, offset),
         "shapes": shapes,
@@ -80,10 +75,10 @@ def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves
         "inertia": inertia,
         "motions": list(MOTIONS),
         "scenery": {"color": SOFT, "opacity": 1.0},
-        "rollouts": list(_list_rollouts(bench, curves, every, inertia)),
+        "rollouts": list(_list_rollouts(bench, curves, stride, inertia)),
         "count": len(curves.qpos),
         "finest": FINEST[bench.joint_type],
-        "step": every * timestep,
+        "step": stride * timestep,
         "duration": timestep * curves.qpos.shape[1],
         "view": _choose_view(model, joints),
     }
@@ -104,7 +99,6 @@ def _open(bench: Bench) -> mujoco.MjModel:
 
 
 def _find_moving(model: mujoco.MjModel, joints: Sequence[int]) -> Bool[np.ndarray, "nbody"]:
-    """Return a mask of the bodies that these joints move."""
     moving = np.zeros(model.nbody, bool)
     moving[model.jnt_bodyid[list(joints)]] = True
     for body in range(1, model.nbody):
@@ -116,14 +110,14 @@ def _list_bodies(model: mujoco.MjModel, joints: Sequence[int], offset: Float[np.
     """Return the kinematic tree, world first; all other joints stay at their reference position."""
     bodies = []
     for body in range(model.nbody):
-        place = {"pos": model.body_pos[body].tolist(), "quat": _turn(model.body_quat[body])}
-        bodies.append({"parent": int(model.body_parentid[body]), **place, "joints": []})
-    for at, joint in enumerate(joints):
+        pose = {"pos": model.body_pos[body].tolist(), "quat": _turn(model.body_quat[body])}
+        bodies.append({"parent": int(model.body_parentid[body]), **pose, "joints": []})
+    for index, joint in enumerate(joints):
         # MuJoCo's reference position is `qpos0`; the encoder's offset is subtracted from it.
-        reference = float(model.qpos0[model.jnt_qposadr[joint]] - offset[at])
-        place = {"pos": model.jnt_pos[joint].tolist(), "axis": model.jnt_axis[joint].tolist()}
+        reference = float(model.qpos0[model.jnt_qposadr[joint]] - offset[index])
+        pose = {"pos": model.jnt_pos[joint].tolist(), "axis": model.jnt_axis[joint].tolist()}
         slide = bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
-        bodies[model.jnt_bodyid[joint]]["joints"].append({"at": at, "slide": slide, "reference": reference, **place})
+        bodies[model.jnt_bodyid[joint]]["joints"].append({"at": index, "slide": slide, "reference": reference, **pose})
     return bodies
 
 
@@ -132,9 +126,9 @@ def _list_geoms(model: mujoco.MjModel) -> Iterator[Shape]:
     kinds, bodies, clear = model.geom_type, model.geom_bodyid, model.geom_rgba[:, 3] > 0
     drawn = np.isin(kinds, list(_SHAPES)) & clear
     for body in np.unique(bodies[drawn]):
-        own = np.flatnonzero(drawn & (bodies == body))
-        visible = own[model.geom_group[own] < _HIDDEN]
-        for geom in visible if len(visible) else own:
+        geoms = np.flatnonzero(drawn & (bodies == body))
+        visible = geoms[model.geom_group[geoms] < _HIDDEN]
+        for geom in visible if len(visible) else geoms:
             size = model.geom_size[geom].copy()
             if kinds[geom] == mujoco.mjtGeom.mjGEOM_PLANE:  # size 0 means infinite
                 size[:2] = np.where(size[:2] > 0, size[:2], 2 * model.stat.extent)
@@ -172,33 +166,32 @@ def _list_links(model: mujoco.MjModel, joints: Sequence[int], curves: Curves, la
     mujoco.mj_kinematics(model, data)
     owner = {int(model.jnt_bodyid[joint]): joint for joint in joints}
     lines = list[tuple[int, np.ndarray, np.ndarray]]()
-    for at, joint in enumerate(joints):
+    for index, joint in enumerate(joints):
         body, anchor = int(model.jnt_bodyid[joint]), data.xanchor[joint]
-        above = int(model.body_parentid[body])
-        before = above
-        while before and before not in owner:
-            before = int(model.body_parentid[before])
-        if before:
-            lines.append((before, data.xanchor[owner[before]], anchor))
+        parent = int(model.body_parentid[body])
+        previous = parent
+        while previous and previous not in owner:
+            previous = int(model.body_parentid[previous])
+        if previous:
+            lines.append((previous, data.xanchor[owner[previous]], anchor))
         if model.body_mass[body] > _LIGHT:
             lines.append((body, anchor, data.xipos[body]))
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-            moved = curves.measured_qpos[:, :, at] - model.qpos0[model.jnt_qposadr[joint]]
-            ends = (anchor + end * data.xaxis[joint] for end in (moved.min(), moved.max()))
-            lines.append((above, *ends))
+            travel = curves.measured_qpos[:, :, index] - model.qpos0[model.jnt_qposadr[joint]]
+            ends = (anchor + end * data.xaxis[joint] for end in (travel.min(), travel.max()))
+            lines.append((parent, *ends))
     reach = [float(np.linalg.norm(end - start)) for _, start, end in lines]
     thickness = _THIN / 2 * max([largest, *reach])
     for body, start, end in lines:
         yield from _line(data, body, start, end, thickness)
     for joint in joints:  # shaft of a hinge, fixed to the parent body
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
-            above, shaft = int(model.body_parentid[model.jnt_bodyid[joint]]), 12 * thickness * data.xaxis[joint]
+            parent, shaft = int(model.body_parentid[model.jnt_bodyid[joint]]), 12 * thickness * data.xaxis[joint]
             anchor = data.xanchor[joint]
-            yield from _line(data, above, anchor - shaft, anchor + shaft, 3 * thickness)
+            yield from _line(data, parent, anchor - shaft, anchor + shaft, 3 * thickness)
 
 
 def _line(data: mujoco.MjData, body: int, start: np.ndarray, end: np.ndarray, thickness: float) -> Iterator[Shape]:
-    """Yield a thin capsule between two points in world coordinates, fixed to a body."""
     axes, quaternion = data.xmat[body].reshape(3, 3), np.zeros(4)
     first, last = ((place - data.xpos[body]) @ axes for place in (start, end))
     length = float(np.linalg.norm(last - first))
@@ -275,18 +268,19 @@ def _list_rollouts(bench: Bench, curves: Curves, every: int, inertia: bool) -> I
     numbers = len(MOTIONS) * curves.qpos.shape[2] * (curves.qpos.shape[1] // every + 1)
     for rollout in order[: max(len(ranks), POSITIONS // numbers)]:
         measured = curves.measured_qpos[rollout]
-        simulated = (np.concatenate([measured[:1], each[rollout]]) for each in (curves.qpos, curves.baseline_qpos))
+        simulated = (np.concatenate([measured[:1], motion[rollout]]) for motion in (curves.qpos, curves.baseline_qpos))
         model, baseline = simulated
-        positions = [_round_positions(each[::every], bench) for each in (model, measured, baseline)]
+        positions = [_round_positions(motion[::every], bench) for motion in (model, measured, baseline)]
         error = float(np.abs(model - measured)[1:].mean())  # the first state is measured
-        said = f"{format_number(error)} {UNITS[bench.joint_type]['position']}" if np.isfinite(error) else "diverged"
-        label = f"{names.get(rollout, '')}{rollout + 1} of {len(curves.qpos)}: {said}"
+        error_text = (
+            f"{format_number(error)} {UNITS[bench.joint_type]['position']}" if np.isfinite(error) else "diverged"
+        )
+        label = f"{names.get(rollout, '')}{rollout + 1} of {len(curves.qpos)}: {error_text}"
         shapes = _list_carried(bench, curves, rollout) if inertia else []
         yield {"rollout": rollout, "label": label, "positions": positions, "shapes": shapes}
 
 
 def _list_carried(bench: Bench, curves: Curves, rollout: int) -> list[Shape]:
-    """Return inertia boxes with the payload of a rollout; empty for a bench without payload."""
     if bench.payload is None:
         return []
     model = bench.compile(constraint=False)
@@ -296,8 +290,8 @@ def _list_carried(bench: Bench, curves: Curves, rollout: int) -> list[Shape]:
 
 def _round_positions(qpos: Float[np.ndarray, "frames nv"], bench: Bench) -> list[list[int]]:
     """Return rounded positions by joint, up to where the motion diverges."""
-    near = np.logical_and.accumulate((np.abs(qpos) < FARTHEST).all(axis=1))
-    return np.rint(qpos[near] / FINEST[bench.joint_type]).astype(np.int64).T.tolist()
+    bounded = np.logical_and.accumulate((np.abs(qpos) < FARTHEST).all(axis=1))
+    return np.rint(qpos[bounded] / FINEST[bench.joint_type]).astype(np.int64).T.tolist()
 
 
 def _choose_view(model: mujoco.MjModel, joints: Sequence[int]) -> list[float]:
@@ -313,7 +307,7 @@ def _choose_view(model: mujoco.MjModel, joints: Sequence[int]) -> list[float]:
 
 def _turn(quaternion: np.ndarray) -> list[float]:
     """Convert a quaternion from MuJoCo's order to the order of three.js."""
-    return [float(quaternion[at]) for at in (1, 2, 3, 0)]
+    return [float(quaternion[index]) for index in (1, 2, 3, 0)]
 
 
 def _round(numbers: Sequence[float] | np.ndarray) -> list[float]:

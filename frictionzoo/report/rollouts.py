@@ -25,11 +25,9 @@ class Drive:
     """Simulated drive in one long test rollout.
 
     Attributes:
-        curves: Curves of its run.
         look: Attributes shared by its marks.
         part: `baseline_` for the run's drive without friction.
         reference: Whether it has no friction and may run away.
-        rollout: Index of the long test rollout.
     """
 
     curves: Curves
@@ -73,27 +71,23 @@ def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Seq
         measured = drives[0].measured(signal)[:, joint]
         curves = [drive.follow(signal)[:, joint] for drive in drives]
         time = timestep * np.arange(len(measured))
-        back = Curve(x=time, y=measured, name="measured", width=4.5, opacity=0.3)
+        recorded = Curve(x=time, y=measured, name="measured", width=4.5, opacity=0.3)
         drawn = [Curve(x=time, y=curve, **drive.look) for drive, curve in zip(drives, curves, strict=True)]
         y = Axis(quantity, unit, limits=frame([measured, curves[0]], curves[1:]))
         friction = [curve for drive, curve in zip(drives, curves, strict=True) if not drive.reference]
         magnified = None if panels else _magnify(time, measured, friction)
-        panels.append(Panel([back, *reversed(drawn)], _over(time[-1]), y, share=share, magnified=magnified))
+        panels.append(Panel([recorded, *reversed(drawn)], _over(time[-1]), y, share=share, magnified=magnified))
     return panels[0], panels[1]
 
 
 def draw_errors(shown: Sequence[Sequence[Drive]], timestep: float, window: float, unit: str) -> Iterator[Panel]:
     """Yield panels with moving mean +- one standard deviation of the absolute position error, on one scale.
 
-    Args:
-        shown: Drives of each panel, under the same command.
-        timestep: Time between samples [s].
-        window: Length of the moving window [s].
-        unit: Unit of the position.
+    `shown` has the drives of each panel, under the same command; `timestep` and the moving `window` are in s.
     """
     drawn = [_draw_errors(drives, timestep, window) for drives in shown]
-    means = [mean for _, own, _ in drawn for mean in own]
-    tops = [top for *_, own in drawn for top in own]
+    means = [mean for _, series, _ in drawn for mean in series]
+    tops = [top for *_, series in drawn for top in series]
     y = scale_errors("absolute position error", unit, means, tops, RUNAWAY if len(shown[0]) > 2 else np.inf)
     for drives, (marks, *_) in zip(shown, drawn, strict=True):
         duration = timestep * (drives[0].curves.measured_qpos.shape[1] - 1)
@@ -136,9 +130,9 @@ def _magnify(
     time: np.ndarray, measured: np.ndarray, curves: Sequence[np.ndarray]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return limits of both axes of the stretch where curves that stay near the measured one differ most."""
-    sight = np.ptp(measured) or 1.0
-    whole = [curve for curve in curves if np.isfinite(curve).all()]
-    close = [curve for curve in whole if np.abs(curve - measured).max() <= sight] or whole
+    extent = np.ptp(measured) or 1.0
+    finite = [curve for curve in curves if np.isfinite(curve).all()]
+    close = [curve for curve in finite if np.abs(curve - measured).max() <= extent] or finite
     spread = np.ptp(close if len(close) > 1 else [measured, *close], axis=0)
     centre, share = int(np.argmax(spread)), INSET
     while True:

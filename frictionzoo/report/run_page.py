@@ -81,11 +81,7 @@ FILES = {  # other files of a run, by path relative to the page
 def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None = None) -> None:
     """Write the page of a run into the run's folder; the page links to the other files there.
 
-    Args:
-        path: Path of the page.
-        result: Content of `result.json`.
-        curves: Curves for the figures.
-        replay: Result of `frictionzoo.report.replay.record_replay`; None for a page without a 3D view.
+    `replay` comes from `frictionzoo.report.replay.record_replay`; None for a page without a 3D view.
 
     Raises:
         OutputError: The file cannot be written.
@@ -96,8 +92,8 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
 def _render(folder: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None) -> bytes:
     # A shared page must not reveal anyone's home directory; paths below the working directory become relative.
     place, command = str(folder.absolute()), say_command(folder)
-    known = {place, *list_paths_of(result, command)}
-    place, command, result = without_paths([place, command, result], known, result["joints"], Path.cwd())
+    paths = {place, *list_paths_of(result, command)}
+    place, command, result = without_paths([place, command, result], paths, result["joints"], Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
     joints = list_joints(result) if len(result["joints"]) > 1 else []
     absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}
@@ -135,12 +131,7 @@ def _render(folder: Path, result: Result, curves: Curves, replay: Mapping[str, A
 
 
 def list_uses(place: str, usable: bool = True) -> list[str]:
-    """Return lines that use the result in this folder, in a shell and in Python.
-
-    Args:
-        place: Folder of the run.
-        usable: Whether the verdict allows an export; otherwise the lines only read the result.
-    """
+    """Return lines that use the result in a folder, in a shell and in Python; unless `usable`, they only read it."""
     export = [f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf"] if usable else []
     read = ["import frictionzoo as fz", f"drive = fz.load({place!r})"]
     return [
@@ -164,14 +155,13 @@ def _say_step(timestep: Any) -> str:
 
 
 def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
-    """Add the initial value of the fit to each identified value."""
-    found: Any = parameters
-    for parameter in found:
+    rows: Any = parameters
+    for parameter in rows:
         course = curves.history.get(f"{parameter['owner']}.{parameter['name']}")
         for row in parameter["by_joint"]:
             if row["identified"] and course is not None:
                 row["start"] = float(np.ravel(course[0])[result["joints"].index(row["joints"][0])])
-    return found
+    return rows
 
 
 def _say_ranks(curves: Curves) -> str:
@@ -180,22 +170,21 @@ def _say_ranks(curves: Curves) -> str:
 
 
 def _say_shown(result: Result, curves: Curves) -> str:
-    """Return a text on the drawn rollouts, with their errors and the error in the headline."""
-    test, said = result["metrics"]["test"], []
+    test, texts = result["metrics"]["test"], []
     for name, rollout in choose_rollouts(curves).items():
         measured = curves.measured_qpos[rollout, 1:]
-        of = (float(np.abs(qpos[rollout] - measured).mean()) for qpos in (curves.qpos, curves.baseline_qpos))
-        own, without = (each if np.isfinite(each) else None for each in of)
-        change = format_change(own, without)
+        errors = (float(np.abs(qpos[rollout] - measured).mean()) for qpos in (curves.qpos, curves.baseline_qpos))
+        error, baseline_error = (value if np.isfinite(value) else None for value in errors)
+        change = format_change(error, baseline_error)
         about = "; ".join(
             filter(None, (change and f"{change} against no friction", say_where(result["data"], curves, rollout)))
         )
-        said.append(f"{name} {format_number(own)} {test['unit']}" + (f" ({about})" if about else ""))
+        texts.append(f"{name} {format_number(error)} {test['unit']}" + (f" ({about})" if about else ""))
     count, duration = len(curves.qpos), result["data"]["timestep"] * curves.qpos.shape[1]
-    over = " over joints" if len(result["joints"]) > 1 else ""
+    suffix = " over joints" if len(result["joints"]) > 1 else ""
     return (
-        f"{count} rollout{'s' * (count > 1)} of {duration:g} s from the test recordings. Mean position error{over}: "
-        f"{', '.join(said)}. The error in the headline is the mean over {test['rollouts']} "
+        f"{count} rollout{'s' * (count > 1)} of {duration:g} s from the test recordings. Mean position error{suffix}: "
+        f"{', '.join(texts)}. The error in the headline is the mean over {test['rollouts']} "
         f"rollout{'s' * (test['rollouts'] > 1)} of {test['horizon']:g} s."
     )
 
@@ -205,7 +194,7 @@ def correlate(result: Result, joint: str) -> dict[str, Any] | None:
     if (covariance := result["covariance"]) is None:
         return None
     labels = covariance["labels"]
-    own = {
+    name_of = {
         label: p["name"]
         for p in result["parameters"]
         for row in p["by_joint"]
@@ -213,16 +202,16 @@ def correlate(result: Result, joint: str) -> dict[str, Any] | None:
         for label in (f"{p['owner']}.{p['name']}", f"{p['owner']}.{p['name']}/{row['name']}")
         if label in labels
     }
-    if len(own) < 2:
+    if len(name_of) < 2:
         return None
-    places = [labels.index(label) for label in own]
+    places = [labels.index(label) for label in name_of]
     matrix = np.array(covariance["matrix"])[np.ix_(places, places)]
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    names, rows = [*own.values()], np.clip(matrix / np.outer(size, size), -1, 1)
+    names, rows = [*name_of.values()], np.clip(matrix / np.outer(size, size), -1, 1)
     first, second = np.triu_indices(len(names), 1)
-    near = sorted(zip(first, second, strict=True), key=lambda pair: -abs(rows[pair]))[:_NAMED]
-    said = [f"{names[i]} and {names[j]} ({rows[i, j]:.2f})" for i, j in near if abs(rows[i, j]) >= _NEAR]
-    return {"names": names, "rows": rows.tolist(), "strongest": ", ".join(said)}
+    pairs = sorted(zip(first, second, strict=True), key=lambda pair: -abs(rows[pair]))[:_NAMED]
+    strongest = [f"{names[i]} and {names[j]} ({rows[i, j]:.2f})" for i, j in pairs if abs(rows[i, j]) >= _NEAR]
+    return {"names": names, "rows": rows.tolist(), "strongest": ", ".join(strongest)}
 
 
 def check_result(result: Result) -> Iterator[Check]:
@@ -231,14 +220,14 @@ def check_result(result: Result) -> Iterator[Check]:
     for doubt in doubts:
         text = say_finding(doubt)
         yield Check("bad" if doubt["severe"] else "caution", TITLES[doubt["kind"]], f"{_capitalise(text)}.")
-    found = {doubt["kind"] for doubt in doubts}
+    kinds = {doubt["kind"] for doubt in doubts}
     for kind, check in _list_checks(result):
-        if kind not in found:
+        if kind not in kinds:
             yield check
 
 
 def _list_checks(result: Result) -> Iterator[tuple[str, Check]]:
-    """Yield kind and text of passed checks; the caller drops kinds that have a finding."""
+    """Yield kind and check of passed checks; the caller drops kinds that have a finding."""
     yield "gain", _check_gain(result)
     if len(result["joints"]) > 1 and result["model"] != "baseline":
         text = f"In each of the {len(result['joints'])} joints, the test error is smaller than without friction."
@@ -282,8 +271,8 @@ def _check_residual(result: Result) -> Check:
         return Check("note", TITLES["residual"], text)
     row = max(rows, key=lambda row: row["residual"] / row["friction"])
     share = format_share(row["residual"], row["friction"])
-    of = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
-    text = f"The residual torque, {share} of the friction{of}, is as large as noise from encoders and filters"
+    joint = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
+    text = f"The residual torque, {share} of the friction{joint}, is as large as noise from encoders and filters"
     return Check("good", TITLES["residual"], f"{text}; no tested factor explains more of it.")
 
 
@@ -292,8 +281,8 @@ def check_held_out(data: DataRow) -> Check:
     logs = [[log for log in data["logs"] if log["part"] == part] for part in ("train", "test")]
     fitted, tested = (data["timestep"] * sum(log["samples"] for log in part) for part in logs)
     shared = {log["sha256"] for log in logs[0]} & {log["sha256"] for log in logs[1]}
-    where = "from another part of the same recording" if shared else "from other recordings"
-    text = f"Fitted to {fitted:.3g} s of data and tested on {tested:.3g} s {where}."
+    source = "from another part of the same recording" if shared else "from other recordings"
+    text = f"Fitted to {fitted:.3g} s of data and tested on {tested:.3g} s {source}."
     return Check("good", "Held-out data", text)
 
 
@@ -307,25 +296,25 @@ def _check_train(metrics: PartsRow) -> Check:
 def _check_fit(fit: FitRow) -> Check:
     method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
     iterations = f"{count} iteration{'s' * (count != 1)}"
-    kept = f"iteration {fit['best_iteration']}, with the lowest training loss, is reported"
-    said = {
-        "converged": ("good", f"{method} converged after {iterations}; {kept}."),
-        "patience": ("good", f"{method} stopped after {iterations}, when the loss stopped falling; {kept}."),
+    reported = f"iteration {fit['best_iteration']}, with the lowest training loss, is reported"
+    checks = {
+        "converged": ("good", f"{method} converged after {iterations}; {reported}."),
+        "patience": ("good", f"{method} stopped after {iterations}, when the loss stopped falling; {reported}."),
         "known": ("note", "Nothing was identified: the known values were evaluated."),
         "grid": ("good", f"The grid search tried all {count} combinations; the best is reported."),
     }
-    ended = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
+    outcome = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
     return (
-        Check(said[ended][0], "Fit", said[ended][1])
-        if ended in said
-        else Check("good", "Fit", f"{method} completed {iterations}; {kept}.")
+        Check(checks[outcome][0], "Fit", checks[outcome][1])
+        if outcome in checks
+        else Check("good", "Fit", f"{method} completed {iterations}; {reported}.")
     )
 
 
 def _capitalise(text: str) -> str:
     """Capitalise a sentence, unless its first word is a name."""
-    first = text.split(maxsplit=1)[0]
-    return text if set("._/") & set(first) else text[0].upper() + text[1:]
+    word = text.split(maxsplit=1)[0]
+    return text if set("._/") & set(word) else text[0].upper() + text[1:]
 
 
 def check_origin(data: DataRow) -> Check:
@@ -371,15 +360,15 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
     """Return for each joint its errors with and without friction, its parameters, and doubtful values."""
     test = result["metrics"]["test"]
     largest = max(result["by_joint"], key=lambda row: row["test"]["position_mae"] or 0.0)
-    found = []
+    joints = []
     for row in result["by_joint"]:
         values = [
             (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
         ]
         # Values shared by all joints are not a doubt about this joint.
         doubts = [_doubt_value(p, value) for p, value in values if len(value["joints"]) < len(result["joints"])]
-        left = (result["residual"] or {"by_joint": []})["by_joint"]
-        residual = next((own for own in left if own["joint"] == row["joint"]), None)
+        residuals = (result["residual"] or {"by_joint": []})["by_joint"]
+        residual = next((entry for entry in residuals if entry["joint"] == row["joint"]), None)
         shown = {
             "name": row["joint"],
             "residual": residual,
@@ -387,8 +376,8 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
             "parameters": values,
             "open": row is largest,
         }
-        found.append({**shown, "doubt": "; ".join(filter(None, doubts))})
-    return found
+        joints.append({**shown, "doubt": "; ".join(filter(None, doubts))})
+    return joints
 
 
 def _doubt_value(parameter: ParameterRow, value: ValueRow) -> str:
@@ -398,7 +387,6 @@ def _doubt_value(parameter: ParameterRow, value: ValueRow) -> str:
 
 
 def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
-    """Yield rows of the table of all evaluations: metrics, named by rollouts and drive."""
     names = {"test": "test, this model", "train": "train, this model", "baseline": "test, no friction"}
     for entry in result["by_horizon"]:
         yield from ({"on": name, **entry[part]} for part, name in names.items())

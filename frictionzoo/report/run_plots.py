@@ -27,10 +27,6 @@ def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
     """Return all figures of one run by name; an empty list if there is nothing to show.
 
     In `portraits`, `phase`, `left` and `trajectories`, each joint has the same number of figures, in joint order.
-
-    Args:
-        result: Content of `result.json`.
-        curves: Curves for the figures.
     """
     shown = choose_rollouts(curves)
     return {
@@ -93,8 +89,8 @@ def _describe(result: Result, what: str) -> str:
 def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator[Figure]:
     """Yield figure 3: loss and each identified parameter over the iterations, with the reported iteration marked.
 
-    For a model without friction parameters (a network), the gradient norm is shown instead. `color` applies to a
-    single line; several joints have separate colours.
+    A model without friction parameters (a network) shows the gradient norm instead. Several joints have separate
+    colours instead of `color`.
     """
     history = curves.history
     units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
@@ -102,17 +98,17 @@ def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator
     if "grad_norm" in history and not any(name.startswith("friction.") for name in names):
         names.append("grad_norm")
     iteration, best = history["iteration"].astype(np.float64), result["fit"]["best_iteration"]
-    at = int(np.flatnonzero(iteration == best)[0])
+    reported = int(np.flatnonzero(iteration == best)[0])
     for name in names:
         lines = _name_lines(result, name)
         columns = np.reshape(history[name], (len(iteration), -1)).T.astype(np.float64)[list(lines.values())]
         label, unit = name.partition(".")[2] or name, units.get(name, "")
-        reached = _say_reached(columns[:, at])
+        reached = _say_reached(columns[:, reported])
         y = Axis(unit=unit) if name in units else scale_values("", "", columns.ravel(), apart=10.0)
-        marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), at, result, color))
+        marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), reported, result, color))
         panel = Panel(marks, Axis("iteration"), y, note=reached if len(columns) == 1 else "")
-        each = ", one line per joint" if len(columns) > len(JOINTS) else ""
-        text = f"{label} over {len(iteration)} iterations{each}. Reported: {reached} {unit}".rstrip()
+        remark = ", one line per joint" if len(columns) > len(JOINTS) else ""
+        text = f"{label} over {len(iteration)} iterations{remark}. Reported: {reached} {unit}".rstrip()
         yield Figure(label, f"{text} at iteration {best} (marked).", (panel,), small=True)
 
 
@@ -132,7 +128,6 @@ def _say_reached(values: np.ndarray) -> str:
 def _draw_courses(
     iteration: np.ndarray, columns: Mapping[str, np.ndarray], at: int, result: Result, color: str
 ) -> Iterator[Mark]:
-    """Yield one line per identified value (points for a grid search), and the reported values."""
     best, several = float(iteration[at]), 1 < len(columns) <= len(JOINTS)
     points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
     look = points if result["fit"]["method"] == "grid" else {}
@@ -153,11 +148,11 @@ def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int])
             drives = _list_drives(curves, rollout)
             panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
             errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
-            said = _say_each(drives, [_say_error(error, test["unit"]) for error in errors])
+            errors_text = _say_each(drives, [_say_error(error, test["unit"]) for error in errors])
             place = say_where(result["data"], curves, rollout)
             text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s"
             text += f", {place}; " if place else "; "
-            text += f"the mean position error is {said}."
+            text += f"the mean position error is {errors_text}."
             title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
             yield Figure(title, text, panels, time=True, rollout=rollout)
 
@@ -168,16 +163,15 @@ def _say_rank(rank: str, curves: Curves) -> str:
 
 
 def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
-    """Yield velocity over position of each joint in the median rollout."""
     rank, rollout = list(shown.items())[(len(shown) - 1) // 2]
     model, *_ = _list_drives(curves, rollout)
     units, kept = find_units(result), slice(1 + round(PHASE / result["data"]["timestep"]))
     for joint, name in enumerate(result["joints"]):
-        (x, y), (at, speed) = (
-            [own(of)[kept, joint] for of in ("qpos", "qvel")] for own in (model.measured, model.follow)
+        (x, y), (position, speed) = (
+            [read(signal)[kept, joint] for signal in ("qpos", "qvel")] for read in (model.measured, model.follow)
         )
-        marks = Curve(x=x, y=y, name="measured", width=4.5, opacity=0.3), Curve(x=at, y=speed, **model.look)
-        across, up = frame([x, at]), frame([y, speed])
+        marks = Curve(x=x, y=y, name="measured", width=4.5, opacity=0.3), Curve(x=position, y=speed, **model.look)
+        across, up = frame([x, position]), frame([y, speed])
         axes = Axis("position", units["position"], limits=across), Axis("velocity", units["velocity"], limits=up)
         panel = Panel(marks, *axes)
         text = f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s. Where the curves "
@@ -186,26 +180,23 @@ def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
 
 
 def _list_drives(curves: Curves, rollout: int) -> list[Drive]:
-    """Return the model and the drive without friction."""
-    own, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
+    model, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
     return [
-        Drive(curves, own, rollout=rollout),
+        Drive(curves, model, rollout=rollout),
         Drive(curves, baseline, "baseline_", reference=True, rollout=rollout),
     ]
 
 
 def _say_each(drives: Sequence[Drive], values: Sequence[str]) -> str:
-    """Return the values of all drives as part of a sentence."""
     with_whom = {"this model": "with the model", "no friction": "without friction"}
-    said = [
+    phrases = [
         f"{value} {with_whom.get(name := drive.look['name'], f'with the {name}')}"
         for drive, value in zip(drives, values, strict=True)
     ]
-    return f"{', '.join(said[:-1])} and {said[-1]}"
+    return f"{', '.join(phrases[:-1])} and {phrases[-1]}"
 
 
 def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
-    """Return the mean absolute error of a rollout with unit, or that it is undefined."""
     steps = np.abs(error[1:])
     return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "undefined (diverged)"
 
@@ -213,9 +204,9 @@ def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
 def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     """Yield figure 5 for each rollout: moving mean +- standard deviation of the position error, mean over joints."""
     window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
-    each = [_list_drives(curves, rollout) for rollout in shown.values()]
-    panels = draw_errors(each, result["data"]["timestep"], window, unit)
-    for (rank, rollout), drives, panel in zip(shown.items(), each, panels, strict=True):
+    drawn = [_list_drives(curves, rollout) for rollout in shown.values()]
+    panels = draw_errors(drawn, result["data"]["timestep"], window, unit)
+    for (rank, rollout), drives, panel in zip(shown.items(), drawn, panels, strict=True):
         largest = [f"{format_number(float(np.nanmax(drive.errors())))} {unit}" for drive in drives]
         text = (
             f"Moving mean and standard deviation over {window:g} s of the absolute position error"
@@ -227,7 +218,6 @@ def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
 
 
 def _plot_horizons(result: Result) -> Figure:
-    """Return the position error at each horizon: test, training, and without friction."""
     entries = _sort_horizons(result)
     unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
     parts = ("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE)
@@ -238,12 +228,12 @@ def _plot_horizons(result: Result) -> Figure:
         bars = {"at": places + width * (i - middle), "length": length, "spread": spread, "width": width}
         marks.append(Bars(name=name, color=color, upright=True, **bars))
     lengths = tuple(f"{entry['horizon']:g} s" for entry in entries)
-    said = []
+    phrases = []
     for length, entry in zip(lengths, entries, strict=True):
         test, baseline = (format_number(entry[part]["position_mae"]) for part in ("test", "baseline"))
-        said.append(f"at {length}: {test} {unit} on test data, {baseline} {unit} without friction")
+        phrases.append(f"at {length}: {test} {unit} on test data, {baseline} {unit} without friction")
     panel = Panel(marks, Axis("rollout length", ticks=lengths), Axis("position MAE", unit))
-    return Figure("Position error by horizon", f"Mean position error {'; '.join(said)}.", (panel,))
+    return Figure("Position error by horizon", f"Mean position error {'; '.join(phrases)}.", (panel,))
 
 
 def _sort_horizons(result: Result) -> list[HorizonRow]:

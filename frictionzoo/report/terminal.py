@@ -98,8 +98,8 @@ def summarise_comparison(comparison: Comparison, folder: Path | None) -> str:
 
 def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) -> str:
     """Return the same summary in HTML, for notebooks."""
-    origin, table, *more = _arrange_comparison(comparison, folder, _tabulate_in_html)
-    return "".join([_say_in_html(origin), table, *map(_say_in_html, more)])
+    origin, table, *paragraphs = _arrange_comparison(comparison, folder, _tabulate_in_html)
+    return "".join([_say_in_html(origin), table, *map(_say_in_html, paragraphs)])
 
 
 def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: Callable[[Rows], str]) -> list[str]:
@@ -109,11 +109,11 @@ def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: C
     advice = "No recommendation: all test rollouts of all runs diverged."
     if recommendation:
         advice = f"recommended: {recommendation['run']}. {recommendation['reason']}"
-    more = (failed, f"warning: {doubt}" if doubt else "", advice, f"files: {folder}" if folder else "")
+    remarks = (failed, f"warning: {doubt}" if doubt else "", advice, f"files: {folder}" if folder else "")
     return [
         f"{count} run{'s' * (count != 1)} on {_say_data(comparison['data'])}",
         tabulate(_list_runs(comparison)),
-        *filter(None, more),
+        *filter(None, remarks),
     ]
 
 
@@ -122,8 +122,8 @@ def _list_runs(comparison: Comparison) -> Rows:
     best = comparison["runs"][0]["label"]
     verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
     judged = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
-    more = ("sigma", "change", "against best", "diverged", "fit [s]")
-    rows: list[tuple[str, ...]] = [("model", "identified", f"train MAE [{unit}]", judged, *more)]
+    columns = ("sigma", "change", "against best", "diverged", "fit [s]")
+    rows: list[tuple[str, ...]] = [("model", "identified", f"train MAE [{unit}]", judged, *columns)]
     for run in comparison["runs"]:
         label, train, test, change = run["label"], run["train"], run["test"], run["change"]["test"]
         rows.append(
@@ -152,8 +152,8 @@ def _list_parameters(result: Result) -> Rows:
         for row in merge_known(parameter["by_joint"]) if several else parameter["by_joint"]:
             joint, status = [row["name"]] if several else [], say_status(row)
             status = "at a bound" if several and row["at_bound"] else status
-            found = _format_value(row["value"]), _format_interval(row["interval"])
-            rows.append((name, *joint, *found, parameter["unit"], status))
+            cells = _format_value(row["value"]), _format_interval(row["interval"])
+            rows.append((name, *joint, *cells, parameter["unit"], status))
             name = ""  # only in the first row of a parameter
     if result["network"]:
         joint = [""] if several else []  # the model determines which joints it covers
@@ -162,7 +162,6 @@ def _list_parameters(result: Result) -> Rows:
 
 
 def _list_joints(result: Result) -> Rows:
-    """Return one row per joint: error with and without friction."""
     unit = result["metrics"]["test"]["unit"]
     rows = [("position MAE by joint", "this model", "no friction", "unit", "change")]
     for row in result["by_joint"]:
@@ -173,19 +172,17 @@ def _list_joints(result: Result) -> Rows:
 
 
 def _list_torque(torque: TorqueRow) -> Rows:
-    """Return one row per joint: residual torque and torque on test data; for several joints also their mean."""
     rows = [("residual torque, test, RMS", "residual", "torque", "unit", "share")]
     several = [{"joint": "mean", **torque["mean"]}] if len(torque["by_joint"]) > 1 else []
     for row in (*torque["by_joint"], *several):
-        left, whole = (row["test"][key] for key in ("residual", "torque"))
+        residual, total = (row["test"][key] for key in ("residual", "torque"))
         rows.append(
-            (row["joint"], _format_value(left), _format_value(whole), torque["unit"], format_share(left, whole))
+            (row["joint"], _format_value(residual), _format_value(total), torque["unit"], format_share(residual, total))
         )
     return rows
 
 
 def _list_written(result: Result) -> Rows:
-    """Return one row per model file: difference between its motion in MuJoCo and the identified drive."""
     rows = [("loaded in MuJoCo, differs by", "mean", "largest", "unit", "of the test error")]
     for row in result["written"]:
         share = "" if row["share"] is None else f"{100 * row['share']:.2g} %"
@@ -194,16 +191,14 @@ def _list_written(result: Result) -> Rows:
 
 
 def _list_limits(result: Result) -> list[str]:
-    """Return the limits of model files, one line each: why they differ and what their user has to know."""
-    said = [(row["file"], limit) for row in result["written"] for limit in _list_reasons(row)]
+    limits = [(row["file"], limit) for row in result["written"] for limit in _list_reasons(row)]
     files: dict[str, list[str]] = {}
-    for file, limit in said:
+    for file, limit in limits:
         files.setdefault(limit, []).append(file)
     return [f"{', '.join(names)}: {limit}" for limit, names in files.items()]
 
 
 def _list_reasons(row: WrittenRow) -> list[str]:
-    """Return whether a model file represents the drive exactly, why not, and its limits."""
     if row["exact"]:
         return ["the identified drive, represented exactly", *row["limits"]]
     far = row["share"] is not None and row["share"] > FAR
@@ -212,7 +207,6 @@ def _list_reasons(row: WrittenRow) -> list[str]:
 
 
 def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]) -> Rows:
-    """Return errors of a drive and of a reference, with the relative change."""
     rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", *names, "unit", "change")]
     for row, (key, unit) in ERRORS.items():
         change = _format_change(test[key], reference[key])
@@ -222,7 +216,6 @@ def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]
 
 
 def _list_verdict(result: Result) -> list[str]:
-    """Return the verdict as lines: grade, findings, and next steps."""
     verdict = result["verdict"]
     count = len(verdict["findings"])
     lines = [f"verdict: {verdict['grade']}" + (f", {count} finding{'s' * (count > 1)}" if count else "")]
@@ -247,12 +240,10 @@ def say_status(parameter: ParameterRow | ValueRow) -> str:
 
 
 def _format_interval(interval: Sequence[Any] | None) -> str:
-    """Format the interval of a value from `result.json`; empty for none."""
     return "" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
 
 
 def _format_change(value: float | None, reference: float | None) -> str:
-    """Format the relative change; empty if there is nothing to compare."""
     return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
 
 

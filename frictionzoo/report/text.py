@@ -56,9 +56,7 @@ def escape_markdown(text: str) -> str:
 def to_markdown(docstring: str, typeset: Callable[[str], str] | None = None) -> str:
     """Convert a docstring up to its first section to Markdown; equations and symbols become code blocks.
 
-    Args:
-        docstring: Docstring; an equation is a paragraph before the indented list of symbols.
-        typeset: Function that converts an equation to Markdown; None for code blocks.
+    An equation is a paragraph before the indented list of symbols; `typeset` converts it to Markdown instead.
     """
     text = re.split(r"\n\n(?:Args|Raises|Attributes):\n", inspect.cleandoc(docstring))[0]
     blocks = text.split("\n\n")

@@ -138,7 +138,6 @@ def _draw_mark(axes: Axes, mark: Mark, order: float) -> None:
 
 
 def _look(mark: Curve) -> dict[str, Any]:
-    """Return matplotlib properties of a curve's line and points."""
     hollow = mark.marker.endswith("-open")
     points: Mapping[str, Any] = {
         "marker": _MARKERS[mark.marker.removesuffix("-open")],
@@ -159,7 +158,6 @@ def _fill(mark: Bars) -> dict[str, Any]:
 
 
 def _scale(ruler: Ruler, axis: Axis) -> None:
-    """Set scale and ticks of one axis."""
     if axis.ticks:
         ruler.set_ticks(range(len(axis.ticks)), [_name(tick, TICK) for tick in axis.ticks])
     if axis.log:
@@ -170,7 +168,6 @@ def _scale(ruler: Ruler, axis: Axis) -> None:
 
 
 def _magnify(axes: Axes, panel: Panel, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Draw an inset above the curves that magnifies a stretch."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.9 * (high - low))
     inset = axes.inset_axes((0.2, 0.56, 0.78, 0.41))
@@ -194,7 +191,6 @@ def _make_key(mark: Mark) -> Artist:
 
 
 def _add_legend(figure: Figure, keys: Mapping[str, Artist]) -> None:
-    """Add a legend below all panels and enlarge the figure by its height."""
     if not keys:
         return
     longest = max(len(line) for name in keys for line in name.splitlines())

@@ -141,7 +141,6 @@ def _draw_bars(mark: Bars, panel: Panel) -> dict[str, Any]:
 
 
 def _point(mark: Curve | Bars, value: str, unit: str) -> dict[str, Any]:
-    """Return the hover text."""
     if not mark.name:
         return {"hoverinfo": "skip"}
     if mark.notes:
@@ -151,8 +150,8 @@ def _point(mark: Curve | Bars, value: str, unit: str) -> dict[str, Any]:
 
 def _draw_stripe(mark: Stripe, axis: str) -> dict[str, Any]:
     kind = {"type": "line" if mark.low == mark.high else "rect", "layer": "below", "opacity": mark.opacity}
-    own, other = ("y", "x") if mark.level else ("x", "y")
-    place = {f"{own}0": mark.low, f"{own}1": mark.high, f"{other}0": 0, f"{other}1": 1}
+    along, across = ("y", "x") if mark.level else ("x", "y")
+    place = {f"{along}0": mark.low, f"{along}1": mark.high, f"{across}0": 0, f"{across}1": 1}
     refs = {"xref": "paper" if mark.level else "x", "yref": axis if mark.level else f"{axis} domain"}
     dash = ",".join(f"{length:g}px" for length in mark.dash) or "solid"
     if mark.low == mark.high:
@@ -176,7 +175,7 @@ def decimate(curve: Float[np.ndarray, "points"], points: int) -> Int[np.ndarray,
         return np.arange(len(curve))
     edges = np.linspace(0, len(curve), points // 2).astype(int)
     stretches = [(int(start), curve[start:stop]) for start, stop in pairwise(edges)]
-    extremes = [start + int(at) for start, part in stretches for at in (part.argmin(), part.argmax())]
+    extremes = [start + int(offset) for start, part in stretches for offset in (part.argmin(), part.argmax())]
     return np.unique([0, *extremes, len(curve) - 1])
 
 

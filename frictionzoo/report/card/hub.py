@@ -16,22 +16,21 @@ _FILE = re.compile(r"[\w-][\w.-]*")
 def fetch_card(name: str) -> Path:
     """Return the folder of a card in the hub's cache, after downloading the files that are not cached.
 
-    Args:
-        name: `hub:OWNER/NAME` or `hub:OWNER/NAME@REVISION`; the revision is a branch, tag or commit.
+    `name` is `hub:OWNER/NAME` or `hub:OWNER/NAME@REVISION`, with a branch, tag or commit.
 
     Raises:
         ConfigError: The name has another form, or huggingface-hub is not installed.
         RunError: There is no such card, or the hub does not answer.
     """
-    asked = _NAME.fullmatch(name.removeprefix(PREFIX))
-    if asked is None:
+    parts = _NAME.fullmatch(name.removeprefix(PREFIX))
+    if parts is None:
         raise ConfigError(f"{name}: expected {PREFIX}OWNER/NAME, or {PREFIX}OWNER/NAME@REVISION")
     if importlib.util.find_spec("huggingface_hub") is None:
         raise ConfigError(
             f'{name}: huggingface-hub not found, expected an installed package; pip install "frictionzoo[hub]"'
         )
-    repository = asked["repository"]
-    page = _fetch(name, repository, CARD, asked["revision"])
+    repository = parts["repository"]
+    page = _fetch(name, repository, CARD, parts["revision"])
     folder, commit = page.parent, page.parent.name  # each cache folder belongs to one commit
     for file in _list_files(page):
         _fetch(name, repository, file, commit)

@@ -20,21 +20,19 @@ def refuse_half(options: Mapping[str, str]) -> None:
     Raises:
         ConfigError: One of `bam` and `source` is missing.
     """
-    for given, missing, what in (("bam", "source", "who published it and where"), ("source", "bam", "the file")):
-        if given in options and missing not in options:
-            raise ConfigError(f"{given}={options[given]}: {missing} is missing; say {what}, {missing}=...")
+    for present, missing, hint in (("bam", "source", "who published it and where"), ("source", "bam", "the file")):
+        if present in options and missing not in options:
+            raise ConfigError(f"{present}={options[present]}: {missing} is missing; say {hint}, {missing}=...")
 
 
 def read_origin(drive: FittedDrive, options: Mapping[str, str]) -> OriginRow | None:
     """Return the origin of a drive whose values come from a BAM parameter file; None without such a file.
 
-    Args:
-        drive: Drive of a run with `fit=known`.
-        options: `bam`, the file, and `source`, who published it and where; or neither.
+    `options` has `bam`, the file, and `source`, who published it and where; or neither.
 
     Raises:
-        ConfigError: The run identified its values, its model or values differ from the file's, or the file is not a
-            BAM parameter file.
+        ConfigError: The run identified its values, its model or values differ from the file's, or the file is not a BAM
+            parameter file.
     """
     if "bam" not in options:
         return None
@@ -53,9 +51,9 @@ def read_origin(drive: FittedDrive, options: Mapping[str, str]) -> OriginRow | N
     expected |= {f"friction.{name}": value for name, value in published.friction.items()}
     for name, value in expected.items():
         # A delay or an offset that is fixed at 0 is not a parameter of the drive.
-        held = drive.parameters[name].value.tolist() if name in drive.parameters else [0.0]
-        if not all(math.isclose(one, value, rel_tol=_ROUNDED) for one in held):
-            raise ConfigError(f"bam={path}: {name} is {value:g}, in the run {held[0]:g}; name the run's own file")
+        run_values = drive.parameters[name].value.tolist() if name in drive.parameters else [0.0]
+        if not all(math.isclose(run_value, value, rel_tol=_ROUNDED) for run_value in run_values):
+            raise ConfigError(f"bam={path}: {name} is {value:g}, in the run {run_values[0]:g}; name the run's own file")
     return {
         "project": "BAM",
         "file": path.name,

@@ -21,18 +21,14 @@ _BENCH = "frictionzoo.bench.Bench"
 def describe_bench(bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section that builds this bench from `TEMPLATE`; a robot does not need its own file any more.
 
-    Link inertias, gravity and time step come from the template.
-
-    Args:
-        bench: Test stand or robot.
-        settings: Section that built the bench.
+    Link inertias, gravity and time step come from the template. `settings` is the section that built the bench.
     """
-    own = describe(bench.actuator)
-    given = {name: value for name, value in own.items() if name not in {"params", *bench.actuator.dimensions}}
+    description = describe(bench.actuator)
+    options = {name: value for name, value in description.items() if name not in {"params", *bench.actuator.dimensions}}
     of_actuator = {name: _section(bench.params[name]) for name in bench.actuator.params if name in bench.params}
     of_bench = {name: _section(param) for name, param in bench.params.items() if name not in of_actuator}
     kept = {name: settings[name] for name in ("solreffriction", "second_order", "payload", "tie") if name in settings}
-    actuator = {**given, "params": of_actuator}
+    actuator = {**options, "params": of_actuator}
     return to_json(
         {"_target_": _BENCH, "mjcf": TEMPLATE, "joint": list(bench.joints), **kept}
         | {"actuator": actuator, "params": of_bench}
@@ -68,11 +64,7 @@ def place_settings(folder: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def build_parts(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, FrictionModel]:
-    """Build the bench and the model of a card.
-
-    Args:
-        folder: Folder of the card.
-        settings: Result of `place_settings`.
+    """Build the bench and the model of a card, with settings from `place_settings`.
 
     Raises:
         RunError: The bench is of another kind, or the template is missing, not UTF-8, or refers to other files.

@@ -66,27 +66,26 @@ def read_record(folder: Path) -> Card:
         if Path(name).name != name:
             raise RunError(f"{path}: it names the file {name}, expected names without folders; get another card")
         try:
-            found = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+            digest = hashlib.sha256((folder / name).read_bytes()).hexdigest()
         except OSError as error:
             raise RunError(
                 f"{folder / name}: {error.strerror}; expected the file of a card; get the card again"
             ) from None
-        if found != sha256:
-            raise RunError(f"{folder / name}: SHA-256 {found[:12]}, expected {sha256[:12]}; get the card again")
+        if digest != sha256:
+            raise RunError(f"{folder / name}: SHA-256 {digest[:12]}, expected {sha256[:12]}; get the card again")
     return cast(Card, card)
 
 
 def _refuse_others(path: Path, result: Result, values: Values, params: dict[str, Any], bench: Bench) -> None:
-    """Refuse values that differ from `card.json`."""
-    told = read_parameters(result, bench.nv)
-    held = {f"{owner}.{name}": (owner, name) for owner, of in params.items() for name in of}
-    if told.keys() != held.keys() or values["bench"].keys() != bench.params.keys():
+    recorded = read_parameters(result, bench.nv)
+    keys = {f"{owner}.{name}": (owner, name) for owner, group in params.items() for name in group}
+    if recorded.keys() != keys.keys() or values["bench"].keys() != bench.params.keys():
         raise RunError(f"{path}: its parameters differ, expected those in {CARD}; get the card again")
-    for full, (owner, name) in held.items():
-        param, own = params[owner][name], values[owner][name]
-        same = own.shape == (len(param.members(bench.nv)),)
+    for full, (owner, name) in keys.items():
+        param, value = params[owner][name], values[owner][name]
+        same = value.shape == (len(param.members(bench.nv)),)
         if not same or not np.allclose(
-            param.spread(own, bench.nv), told[full].value, rtol=_ROUNDED, atol=0, equal_nan=True
+            param.spread(value, bench.nv), recorded[full].value, rtol=_ROUNDED, atol=0, equal_nan=True
         ):
             raise RunError(f"{path}: {full} differs, expected the value in {CARD}; get the card again")
 

@@ -36,12 +36,10 @@ def read_schema() -> dict[str, Any]:
 
 
 def build_card(drive: FittedDrive, stated: Mapping[str, str], files: Mapping[str, str]) -> Card:
-    """Return the content of `card.json` for a drive.
+    """Return the content of `card.json` for a drive loaded from a run's folder.
 
-    Args:
-        drive: Drive loaded from a run's folder.
-        stated: `licence`, and optionally `name`, `supply`, `temperature`, `payload`, `bam` and `source`.
-        files: SHA-256 hashes by file name.
+    `stated` has `licence`, and optionally `name`, `supply`, `temperature`, `payload`, `bam` and `source`; `files` has
+    SHA-256 hashes by file name.
 
     Raises:
         ConfigError: The values differ from the file that `bam` names.
@@ -73,28 +71,26 @@ def title_of(drive: FittedDrive, stated: Mapping[str, str]) -> str:
 
 
 def _list_laws(drive: FittedDrive) -> list[LawRow]:
-    """Return the models of the joints, each once."""
     rows: dict[str, LawRow] = {}
-    for at, joint in enumerate(drive.bench.joints):
-        law = drive.model.of_joint(at)[0]
+    for index, joint in enumerate(drive.bench.joints):
+        law = drive.model.of_joint(index)[0]
         text = to_markdown(inspect.getdoc(type(law)) or "")
         rows.setdefault(law.name, {"name": law.name, "joints": [], "text": text})["joints"].append(joint)
     return list(rows.values())
 
 
 def _list_visited(drive: FittedDrive) -> list[VisitedRow]:
-    seen, segments = drive.samples, drive.recorded
+    samples, segments = drive.samples, drive.recorded
     rows: list[VisitedRow] = []
-    for at, joint in enumerate(drive.bench.joints):
-        position, speed = segments.qpos[..., at], np.abs(segments.qvel[..., at])
-        torque = np.abs(seen.motor_torque[:, at])
+    for index, joint in enumerate(drive.bench.joints):
+        position, speed = segments.qpos[..., index], np.abs(segments.qvel[..., index])
+        torque = np.abs(samples.motor_torque[:, index])
         ends = [float(position.min()), float(position.max())]
         rows.append({"joint": joint, "position": ends, "speed": float(speed.max()), "torque": float(torque.max())})
     return rows
 
 
 def _read_command(folder: Path | None) -> str | None:
-    """Return the command of a run; None if its folder does not contain one."""
     if folder is None or not (folder / _OVERRIDES).exists():
         return None
     options = [str(option) for option in OmegaConf.to_container(OmegaConf.load(folder / _OVERRIDES)) or []]

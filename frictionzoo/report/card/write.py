@@ -45,11 +45,8 @@ _LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
 def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str]]:
     """Write the card of a run.
 
-    Args:
-        folder: Folder of the run.
-        options: `licence`, and optionally `output` (a folder), `name`, `supply`, `temperature` and `payload`; for
-            values that someone else published, also `bam`, the parameter file, and `source`, who published it and
-            where.
+    `options` are `licence`, and optionally `output` (a folder), `name`, `supply`, `temperature` and `payload`; for
+    values that someone else published, also `bam`, the parameter file, and `source`, who published it and where.
 
     Returns:
         Folder of the card, and a warning for each path of this machine in its model files, which are copied unchanged.
@@ -71,8 +68,8 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
 
 def _list_left(place: Path) -> Iterator[str]:
     for path in (place / name for name in _MODELS if (place / name).exists()):
-        for found in find_paths(path.read_bytes()):
-            yield f"{path}: contains the path {found} of the robot file; remove it from that file before you publish"
+        for text in find_paths(path.read_bytes()):
+            yield f"{path}: contains the path {text} of the robot file; remove it from that file before you publish"
 
 
 def _refuse_impossible(options: Mapping[str, str]) -> None:
@@ -127,8 +124,8 @@ def render_page(card: Card) -> str:
 
 def _write_name(text: str) -> str:
     """Format a name as inline code, also valid in tables; as plain text if code cannot contain it."""
-    held = text.isprintable() and text == text.strip() and not set(text) & set("`|")
-    return f"`{text}`" if held and text else escape_markdown(text)
+    is_code = text.isprintable() and text == text.strip() and not set(text) & set("`|")
+    return f"`{text}`" if is_code and text else escape_markdown(text)
 
 
 def _write_fence(text: str) -> str:
