@@ -77,8 +77,8 @@ class Adam(Fit):
         loss, gradient = objective.value_and_grad(self._derivative)(vector, data)
         updates, moments = self._optimiser.update(gradient, state, vector)
         moved = jnp.asarray(optax.apply_updates(vector, updates))
-        lost = ~jnp.isfinite(loss) | ~jnp.isfinite(gradient).all()
-        return Seen(loss, gradient, lost), jnp.clip(moved, objective.space.low, objective.space.high), moments
+        diverged = ~jnp.isfinite(loss) | ~jnp.isfinite(gradient).all()
+        return Seen(loss, gradient, diverged), jnp.clip(moved, objective.space.low, objective.space.high), moments
 
     def prepare(self, objective: Objective) -> None:
         """See `Fit.prepare`; evaluates the gradient of a model that exists only in torch once."""

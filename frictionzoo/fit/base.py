@@ -25,13 +25,7 @@ Scores = Callable[
 
 
 class Seen(NamedTuple):
-    """Evaluation of the objective at one vector.
-
-    Attributes:
-        loss: The objective, of shape ().
-        gradient: Its gradient, of shape (coordinates,); zeros where the method uses none.
-        lost: Whether the method cannot continue from here.
-    """
+    """Evaluation at a vector: objective, gradient (zeros if unused), and whether the method cannot continue from it."""
 
     loss: Any
     gradient: Any
@@ -80,13 +74,9 @@ class Fit(Described, ABC):
 
     @abstractmethod
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
-        """Do one iteration.
+        """Do one iteration: evaluate the vector, of shape (coordinates,).
 
-        Args:
-            objective: The objective to minimise.
-            vector: The vector to evaluate, of shape (coordinates,).
-            state: The method's state.
-            data: The data argument of the objective's functions.
+        `data` is the data argument of the objective's functions.
 
         Returns:
             The evaluation at the vector, the next vector, and the next state.
@@ -118,8 +108,8 @@ class Search(Fit):
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`. A loss that is not finite does not end the search."""
         following = state + 1
-        seen = Seen(objective.loss(vector, data), jnp.zeros_like(vector), lost=False)
-        return seen, self.candidate(objective, following), following
+        evaluation = Seen(objective.loss(vector, data), jnp.zeros_like(vector), lost=False)
+        return evaluation, self.candidate(objective, following), following
 
 
 REGISTRY = Registry(KINDS["methods"], Fit, "step")

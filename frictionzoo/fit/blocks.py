@@ -21,7 +21,7 @@ BLOCK_STATES = 25_000
 """Joint states simulated at once; they fit into a processor's cache and bound the memory."""
 
 KEPT_STATES, KEPT_BLOCKS = 100_000, 2
-"""The same, with a least number of blocks for several threads, where rollouts store what tangents need. Tangents are
+"""The same, with a least number of blocks for several threads, where rollouts store what tangents need: tangents are
 then not simulated with the states, and more states fit."""
 
 ON_ACCELERATOR = 40
@@ -101,10 +101,7 @@ def each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Block
 
 
 def side_by_side(function: Callable[[Any], T], parts: Iterable[Any], devices: int) -> list[T]:
-    """Apply a function to all parts, in parallel threads if there is one device.
-
-    A single operation is too small for several threads; a block is not. Several devices have their own threads.
-    """
+    """Apply a function to all parts, on one device in threads, which pay off for blocks but not for operations."""
     with ThreadPoolExecutor(usable_threads() if devices == 1 else 1) as pool:
         return list(pool.map(function, parts))
 
@@ -120,14 +117,11 @@ def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
 
 
 def divide(segments: Segments) -> Int[np.ndarray, "batch"]:
-    """Return the number of the stretch of each segment, from 0.
-
-    With `ENOUGH_RECORDINGS` recordings or more a stretch is one or several recordings, otherwise a period of time.
-    """
+    """Return each segment's stretch, from 0: whole recordings if at least `ENOUGH_RECORDINGS`, else periods of time."""
     number = np.arange(segments.count)
     if segments.recording is not None:
-        of = np.unique(segments.recording, return_inverse=True)[1]
-        number = of if of[-1] + 1 >= ENOUGH_RECORDINGS else number
+        recordings = np.unique(segments.recording, return_inverse=True)[1]
+        number = recordings if recordings[-1] + 1 >= ENOUGH_RECORDINGS else number
     units = int(number[-1]) + 1
     return number * min(units, MOST_STRETCHES) // units
 
@@ -142,13 +136,7 @@ def into_blocks(
 ) -> Blocks:
     """Cut segments into equal blocks; the last segment, with weight 0, fills up the last block.
 
-    Args:
-        segments: The segments.
-        stretch: Number of each segment's stretch; see `divide`.
-        dtype: Data type of the arrays.
-        rollout: The rollout that will simulate the segments.
-        counts: As in `Blocks`, by segment.
-        inertia: As in `Blocks`, by segment.
+    `stretch` comes from `divide`; `counts` and `inertia` are as in `Blocks`, by segment.
     """
     devices, kept = devices_of(rollout), rollout.keeps_slopes
     most = (KEPT_STATES if kept else BLOCK_STATES) * (1 if devices[0].platform == "cpu" else ON_ACCELERATOR)

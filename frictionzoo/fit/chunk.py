@@ -27,7 +27,6 @@ class Progress(NamedTuple):
         best_loss: That loss; infinite before the first.
         best_iteration: Its iteration, from 0; -1 before the first.
         broken: Whether the method cannot continue; then nothing changes any more.
-        converged: Whether the method has converged.
         gradient: The gradient of the last iteration.
         method: State of the method, such as Adam's moments.
     """
@@ -44,12 +43,9 @@ class Progress(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Record with one row per iteration, in JAX inside a chunk and in numpy outside.
+    """Loss, norm of its gradient and identified physical values, one row per iteration.
 
-    Attributes:
-        loss: The objective, of shape (rows,).
-        grad_norm: Norm of its gradient, of shape (rows,); 0 where the method uses none.
-        params: Values of the identified physical parameters, each of shape (rows, nv).
+    The arrays are JAX's inside a chunk and numpy's outside. The norm is 0 where the method uses no gradient.
     """
 
     loss: Any
@@ -110,7 +106,6 @@ def _is_traced(fit: Fit, objective: Objective) -> bool:
 
 
 def _advance(xp: Any, progress: Progress, seen: Seen, vector: Any, method: Any, converged: Any) -> Progress:
-    """Return the progress after one more iteration."""
     gradient = xp.asarray(seen.gradient, progress.vector.dtype)
     following = _keep_best(xp, progress, seen.loss)._replace(
         iteration=progress.iteration + 1,
@@ -126,7 +121,6 @@ def _advance(xp: Any, progress: Progress, seen: Seen, vector: Any, method: Any, 
 
 
 def _keep_best(xp: Any, progress: Progress, loss: Any) -> Progress:
-    """Return the progress with its vector as the best one if `loss` is the lowest so far."""
     better = loss < progress.best_loss
     return progress._replace(
         best=xp.where(better, progress.vector, progress.best),
@@ -136,8 +130,6 @@ def _keep_best(xp: Any, progress: Progress, loss: Any) -> Progress:
 
 
 def _try_in_turn(fit: Fit, objective: Objective, size: int) -> Callable[..., tuple[Progress, Trace]]:
-    """Evaluate vectors one after the other, in a JAX loop."""
-
     def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
         empty = jnp.zeros(size, progress.vector.dtype)
         shapes = jax.eval_shape(objective.space.identified, progress.vector)
@@ -145,14 +137,14 @@ def _try_in_turn(fit: Fit, objective: Objective, size: int) -> Callable[..., tup
 
         def body(row: Array, carry: tuple[Progress, Trace]) -> tuple[Progress, Trace]:
             progress, trace = carry
-            seen, vector, method = fit.step(objective, progress.vector, progress.method, data)
-            here = objective.space.identified(progress.vector)
+            evaluation, vector, method = fit.step(objective, progress.vector, progress.method, data)
+            identified = objective.space.identified(progress.vector)
             written = Trace(
-                trace.loss.at[row].set(seen.loss),
-                trace.grad_norm.at[row].set(jnp.linalg.norm(seen.gradient)),
-                {name: values.at[row].set(here[name]) for name, values in trace.params.items()},
+                trace.loss.at[row].set(evaluation.loss),
+                trace.grad_norm.at[row].set(jnp.linalg.norm(evaluation.gradient)),
+                {name: values.at[row].set(identified[name]) for name, values in trace.params.items()},
             )
-            return _advance(jnp, progress, seen, vector, method, fit.done(method)), written
+            return _advance(jnp, progress, evaluation, vector, method, fit.done(method)), written
 
         return jax.lax.fori_loop(0, count, body, (progress, Trace(empty, empty, params)))
 
@@ -160,11 +152,10 @@ def _try_in_turn(fit: Fit, objective: Objective, size: int) -> Callable[..., tup
 
 
 def _try_at_once(fit: Search, objective: Objective, size: int) -> Callable[..., tuple[Progress, Trace]]:
-    """Evaluate many vectors at once."""
-    at_once = size * objective.data.qpos[0].size
-    if at_once > MOST_STATES:
+    states = size * objective.data.qpos[0].size
+    if states > MOST_STATES:
         raise ConfigError(
-            f"loop.chunk={size}: {at_once:g} states simulated at once, expected at most {MOST_STATES:g}; lower it"
+            f"loop.chunk={size}: {states:g} states simulated at once, expected at most {MOST_STATES:g}; lower it"
         )
 
     def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
@@ -204,10 +195,10 @@ def _try_from_python(fit: Fit, objective: Objective, size: int) -> Chunk:
         vectors, losses, norms = rows.copy(), np.zeros(size), np.zeros(size)
         for row in range(count):
             tried = jnp.asarray(progress.vector)
-            seen, vector, method = fit.step(objective, tried, progress.method, objective.data)
-            vectors[row], losses[row] = progress.vector, seen.loss
-            norms[row] = np.linalg.norm(np.asarray(seen.gradient))
-            progress = _advance(np, progress, seen, vector, method, fit.done(method))
+            evaluation, vector, method = fit.step(objective, tried, progress.method, objective.data)
+            vectors[row], losses[row] = progress.vector, evaluation.loss
+            norms[row] = np.linalg.norm(np.asarray(evaluation.gradient))
+            progress = _advance(np, progress, evaluation, vector, method, fit.done(method))
             if progress.broken or progress.converged:
                 break
         # The best loss keeps the method's precision, so that the lower of two close losses wins.

@@ -52,7 +52,7 @@ class Part:
             space,
             np.zeros(size),
             np.eye(size),
-            {name: own for name, own in places.items() if len(own)},
+            {name: indices for name, indices in places.items() if len(indices)},
             known,
         )
 
@@ -60,11 +60,11 @@ class Part:
     def box(self) -> Box:
         """Start and bounds of the model's coordinates; the narrowest bounds where it merges several into one."""
         start, low, high = (np.asarray(x, np.float64) for x in (self.space.start, self.space.low, self.space.high))
-        own = self.spread > 0
+        mask = self.spread > 0
         return Box(
             self.own(start),
-            np.where(own, low[:, None], -np.inf).max(axis=0),
-            np.where(own, high[:, None], np.inf).min(axis=0),
+            np.where(mask, low[:, None], -np.inf).max(axis=0),
+            np.where(mask, high[:, None], np.inf).min(axis=0),
         )
 
     def own(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "own"]:
@@ -80,8 +80,8 @@ class Part:
     ) -> Float[np.ndarray, "coordinates"]:
         """Return the fitted model's coordinates with a parameter at this multiple of its initial value."""
         moved = self.own(vector)
-        for at, own in ((at, float(self.box.start[at])) for at in self.places[name].tolist()):
-            moved[at] = self._bounded(at, factor * float(self._param(at).from_coordinate(own, np)))
+        for index, start in ((index, float(self.box.start[index])) for index in self.places[name].tolist()):
+            moved[index] = self._bounded(index, factor * float(self._param(index).from_coordinate(start, np)))
         return self.whole(moved)
 
     def restrict(self, evaluate: Evaluate) -> Evaluate:
@@ -102,24 +102,24 @@ class Part:
     def _narrow(self, law: type[FrictionModel], within: Within) -> "Part | None":
         """Return the part of a nested model; None where known values exclude it."""
         base, groups = self.box.start, {}
-        taken = np.zeros(len(base), bool)
+        used = np.zeros(len(base), bool)
         for name, own in self.places.items():
             rule = within.get(name, name)
             if isinstance(rule, str) and rule in law.dimensions:
                 groups.setdefault(rule, []).append(own)
             elif not callable(rule):  # fixed at a number, or at its start if it has no effect
-                base[own] = base[own] if isinstance(rule, str) else [self._bounded(at, rule) for at in own.tolist()]
-            taken[own] = not callable(rule)
+                base[own] = base[own] if isinstance(rule, str) else [self._bounded(row, rule) for row in own.tolist()]
+            used[own] = not callable(rule)
         if not (self._knows(within) and all(map(self._are_alike, groups.values()))):
             return None
-        free = [[at] for at in np.flatnonzero(~taken)]
+        columns = [[row] for row in np.flatnonzero(~used)]
         places = {}
         for name, alike in groups.items():
-            places[name] = len(free) + np.arange(len(alike[0]))
-            free += np.stack(alike, axis=1).tolist()
-        narrow = np.zeros((len(base), len(free)))
-        for at, columns in enumerate(free):
-            narrow[columns, at], base[columns] = 1.0, 0.0
+            places[name] = len(columns) + np.arange(len(alike[0]))
+            columns += np.stack(alike, axis=1).tolist()
+        narrow = np.zeros((len(base), len(columns)))
+        for row, merged in enumerate(columns):
+            narrow[merged, row], base[merged] = 1.0, 0.0
         known = {name: value for name, value in self.known.items() if name in law.dimensions}
         return Part(law, self.space, self.whole(base), self.spread @ narrow, places, known)
 
@@ -133,16 +133,15 @@ class Part:
 
     def _are_alike(self, alike: list[np.ndarray]) -> bool:
         """Return whether coordinates to merge are equal in number and have the same scale."""
-        scales = {self._param(at).scale for own in alike for at in own.tolist()}
-        return len({len(own) for own in alike}) == len(scales) == 1
+        scales = {self._param(index).scale for indices in alike for index in indices.tolist()}
+        return len({len(indices) for indices in alike}) == len(scales) == 1
 
     def _param(self, own: int) -> Param:
-        """Return the parameter of a coordinate."""
         row = int(np.argmax(self.spread[:, own]))
         return self.space.params[self.space.labels[row].partition("/")[0]]
 
     def _bounded(self, own: int, value: float) -> float:
         """Return the coordinate of a value, clipped to the bounds."""
-        param, ends = self._param(own), [side[own] for side in self.box[1:]]
-        low, high = (float(param.from_coordinate(end, np)) for end in ends)
-        return ends[0] if value <= low else ends[1] if value >= high else float(param.to_coordinate(value, np))
+        param, bounds = self._param(own), [side[own] for side in self.box[1:]]
+        low, high = (float(param.from_coordinate(bound, np)) for bound in bounds)
+        return bounds[0] if value <= low else bounds[1] if value >= high else float(param.to_coordinate(value, np))

@@ -14,7 +14,7 @@ def impulses(
     inertia: Float[Array, "segments nv nv"],
     armature: Float[Array, "nv"],
 ) -> Float[Array, "segments intervals nv"]:
-    """Return the momentum that each sample interval adds to a rollout's error [N m s or N s].
+    """Return the momentum that each sample interval adds to a rollout's velocity errors [N m s or N s].
 
     A missing torque appears once, in the joint and interval where it acts. As a velocity error it would appear in all
     joints that it moves, divided by their inertia, and in all later samples.
@@ -23,12 +23,9 @@ def impulses(
     derivative, as in inverse dynamics. Velocity errors are torque over inertia, and torque noise would bias the
     armature upwards.
 
-    Source: W. Fuller, "Measurement Error Models", 1987, for the effect of noise in a regressor.
+    `inertia` excludes the armature and holds at the start of each segment; both are in kg m^2 or kg.
 
-    Args:
-        errors: Velocity errors after each interval [rad/s or m/s].
-        inertia: Joint-space inertia without armature at the start of each segment [kg m^2 or kg].
-        armature: Armature [kg m^2 or kg].
+    Source: W. Fuller, "Measurement Error Models", 1987, for the effect of noise in a regressor.
     """
     added = jnp.diff(errors, axis=1, prepend=jnp.zeros_like(errors[:, :1]))
     return jnp.einsum("sij,stj->sti", inertia, added, precision="highest") + armature * added
@@ -36,15 +33,15 @@ def impulses(
 
 def rigid_inertia_of(bench: Bench, segments: Segments) -> Float[np.ndarray, "segments nv nv"]:
     """Return the joint-space inertia without armature at the start of segments, with payloads [kg m^2 or kg]."""
-    model, found = bench.compile(constraint=False), np.zeros((segments.count, bench.nv, bench.nv))
-    if "position_offset" in (known := bench.initial_values()):
-        model.qpos0[:] = -known["position_offset"]
+    model, inertia = bench.compile(constraint=False), np.zeros((segments.count, bench.nv, bench.nv))
+    if "position_offset" in (values := bench.initial_values()):
+        model.qpos0[:] = -values["position_offset"]
     loads, of_load = np.unique(segments.loads, axis=0, return_inverse=True)
     for number, load in enumerate(loads):
-        own = of_load.ravel() == number
+        members = of_load.ravel() == number
         bench.put_load(model, load)
-        found[own] = rigid_inertia_at(model, segments.qpos[own, 0])
-    return found
+        inertia[members] = rigid_inertia_at(model, segments.qpos[members, 0])
+    return inertia
 
 
 def is_moving(segments: Segments, slow: float) -> Bool[np.ndarray, "segments intervals nv"]:

@@ -100,16 +100,16 @@ class InverseDynamics(Fit):
             leaning = bench.with_gravity(tilt.gravity.tolist())
             equation = TorqueEquation(space, recordings._replace(bench=leaning), self.filtering, self.held)
             tilted = Tilted.about(equation, tilt, weighed)
-            found = identify_links(tilted, leaning.compile(constraint=False), self._links, self._prior)
-            assert found.tilt is not None
-            moved, tilt, weighed = (
-                np.abs(found.tilt.leaning - tilt.leaning),
-                found.tilt,
-                bench.with_inertia(found.inertia),
+            result = identify_links(tilted, leaning.compile(constraint=False), self._links, self._prior)
+            assert result.tilt is not None
+            change, tilt, weighed = (
+                np.abs(result.tilt.leaning - tilt.leaning),
+                result.tilt,
+                bench.with_inertia(result.inertia),
             )
-            if (moved < _LEVEL).all():
+            if (change < _LEVEL).all():
                 break
-        return found
+        return result
 
     def total(self, objective: Objective) -> int:
         """See `Fit.total`; refuses networks, models only in torch, and segments without recordings."""
@@ -138,9 +138,9 @@ class InverseDynamics(Fit):
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`; the first iteration finds the minimum, the second evaluates it."""
         equation = self.equation(objective)
-        found, _ = equation.scores(np.asarray(vector, np.float64))
-        seen = Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss))
-        if state == 0 and not seen.lost:
+        equations, _ = equation.scores(np.asarray(vector, np.float64))
+        evaluation = Seen(equations.loss, 2 * equations.gradient, not np.isfinite(equations.loss))
+        if state == 0 and not evaluation.lost:
             vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
             for (one, other), share in equation.couplings(vector).items():
                 _log.warning(
@@ -149,7 +149,7 @@ class InverseDynamics(Fit):
                     *(equation.joints[joint] for joint in (one, other)),
                     100 * share,
                 )
-        return seen, vector, state + 1
+        return evaluation, vector, state + 1
 
     def done(self, state: Any) -> Any:
         """See `Fit.done`."""
@@ -165,7 +165,6 @@ class InverseDynamics(Fit):
 
 
 def _refuse_many(space: Space) -> None:
-    """Raise ConfigError if there are more coordinates than a Jacobian can hold."""
     coordinates = len(space.start)
     if coordinates > MOST_COORDINATES:
         raise ConfigError(

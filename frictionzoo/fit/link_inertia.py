@@ -57,33 +57,33 @@ class LinkInertia:
     @property
     def inertia(self) -> dict[str, list[float]]:
         """Ten inertial parameters of each link, in the form of `bench.inertia`."""
-        return {name: own.tolist() for name, own in zip(self.bodies, self.found, strict=True)}
+        return {name: parameters.tolist() for name, parameters in zip(self.bodies, self.found, strict=True)}
 
     @property
     def prior_only(self) -> tuple[str, ...]:
         """Link parameters that belong to no base parameter determined by the data."""
-        told = (self.base.matrix[self.determined] != 0).any(axis=0)
-        own = [f"{symbol} {body}" for body in self.bodies for symbol in SYMBOLS]
-        return tuple(name for name, tells in zip(self.base.names, told, strict=True) if name in own and not tells)
+        used = (self.base.matrix[self.determined] != 0).any(axis=0)
+        names = [f"{symbol} {body}" for body in self.bodies for symbol in SYMBOLS]
+        return tuple(name for name, is_used in zip(self.base.names, used, strict=True) if name in names and not is_used)
 
     def lines(self) -> Iterator[str]:
         """Yield a line for each link, and lines on tilt and on parameters determined only by the prior."""
         for name, old, new in zip(self.bodies, self.maker, self.found, strict=True):
-            (was, before, _), (mass, centre, _) = from_parameters(old), from_parameters(new)
-            moved = 1e3 * float(np.linalg.norm(centre - before))
-            yield f"link {name}: {mass:.4g} kg, the model file's {was:.4g}; centre moved by {moved:.3g} mm"
+            (old_mass, old_centre, _), (mass, centre, _) = from_parameters(old), from_parameters(new)
+            moved = 1e3 * float(np.linalg.norm(centre - old_centre))
+            yield f"link {name}: {mass:.4g} kg, the model file's {old_mass:.4g}; centre moved by {moved:.3g} mm"
         if self.tilt is not None:
             yield f"gravity is {self.tilt.say()}: the base is tilted"
-        told = self.determined
-        yield f"{told.sum()} of {len(told)} combinations of parameters are determined by the data, not by the prior"
+        mask = self.determined
+        yield f"{mask.sum()} of {len(mask)} combinations of parameters are determined by the data, not by the prior"
         if self.prior_only:
             yield f"only the prior: {', '.join(self.prior_only)}"
 
     def base_lines(self) -> Iterator[str]:
         """Yield a line for each base parameter, with its standard error from the data alone."""
         rows = zip(self.base.describe(), self.values, self.errors, self.determined, strict=True)
-        for text, value, error, told in rows:
-            yield f"{text}: {value:.4g} +- {error:.2g}{'' if told else ', not determined by the data'}"
+        for text, value, error, determined in rows:
+            yield f"{text}: {value:.4g} +- {error:.2g}{'' if determined else ', not determined by the data'}"
 
 
 def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
@@ -100,18 +100,15 @@ def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
             expression = re.compile(pattern)
         except re.error as error:
             raise ConfigError(f"fit.links: {pattern}: no pattern ({error}); expected a regular expression") from None
-        found = [body for body, name in names.items() if expression.fullmatch(name)]
-        if not found:
+        matches = [body for body, name in names.items() if expression.fullmatch(name)]
+        if not matches:
             raise ConfigError(f"fit.links: {pattern}: no body of that name moves; {closest(pattern, names.values())}")
-        chosen |= set(found)
+        chosen |= set(matches)
     return sorted(chosen)
 
 
 def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
-    """Return the standard deviation of the prior of each log-Cholesky coordinate of a body.
-
-    Args:
-        prior: Standard deviations: `mass` and `size` as shares, `centre` in m.
+    """Return the prior's standard deviation of each log-Cholesky coordinate (`mass`, `size`: shares; `centre`: m).
 
     Raises:
         ConfigError: One is missing, unknown or not above 0.
@@ -127,13 +124,9 @@ def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
 def identify_links(
     equation: TorqueEquation | Tilted, model: mujoco.MjModel, patterns: Sequence[str], prior: Mapping[str, float]
 ) -> LinkInertia:
-    """Identify link inertia together with the coordinates of an equation, whose values are not kept.
+    """Identify the inertia of links together with an equation's coordinates, whose values are not kept.
 
-    Args:
-        equation: Residual torque with the model file's links.
-        model: MuJoCo model of the bench.
-        patterns: Regular expressions for the names of the links.
-        prior: Standard deviations of the prior; see `spread_of`.
+    `patterns` are regular expressions for names of links; `prior` is as in `spread_of`.
 
     Raises:
         ConfigError: A pattern matches no body that moves, or the prior is invalid.
@@ -142,16 +135,16 @@ def identify_links(
     bodies = choose_bodies(model, patterns)
     names = tuple(model.body(body).name for body in bodies)
     links = equation.links(bodies, spread_of(prior)) if bodies else None
-    found = balance(equation.lack, equation.slope, equation.box, equation.moving, links)
-    base, scale = _base(equation, found, links, names)
-    values = np.concatenate([equation.physical(found.vector), found.bodies.ravel()])
-    information = found.information / np.outer(scale, scale)
+    balanced = balance(equation.lack, equation.slope, equation.box, equation.moving, links)
+    base, scale = _base(equation, balanced, links, names)
+    values = np.concatenate([equation.physical(balanced.vector), balanced.bodies.ravel()])
+    information = balanced.information / np.outer(scale, scale)
     errors = np.sqrt(np.diag(invert(information[np.ix_(base.leading, base.leading)])))
-    rms = np.sqrt(np.mean(np.square(found.residual), axis=0))
-    spreads = _spreads(base, links, len(found.vector))
-    tilt = equation.tilt(found) if isinstance(equation, Tilted) else None
+    rms = np.sqrt(np.mean(np.square(balanced.residual), axis=0))
+    spreads = _spreads(base, links, len(balanced.vector))
+    tilt = equation.tilt(balanced) if isinstance(equation, Tilted) else None
     maker = np.zeros((0, 10)) if links is None else links.maker
-    return LinkInertia(names, maker, found.bodies, base, base.matrix @ values, errors, spreads, rms, tilt)
+    return LinkInertia(names, maker, balanced.bodies, base, base.matrix @ values, errors, spreads, rms, tilt)
 
 
 def _base(
@@ -170,10 +163,9 @@ def _base(
 
 
 def _spreads(base: BaseParameters, links: Links | None, size: int) -> Float[np.ndarray, "base"]:
-    """Return the standard deviation of the prior of each base parameter."""
     if links is None:
         return np.full(len(base.matrix), np.inf)
-    around: Any = links.around.slopes(np.zeros_like(links.spread)) * links.spread[:, None, :]
-    own = base.matrix[:, size:].reshape(len(base.matrix), -1, 10)
-    variance = np.square(np.einsum("abk,bkl->abl", own, around)).sum(axis=(1, 2))
+    scaled: Any = links.around.slopes(np.zeros_like(links.spread)) * links.spread[:, None, :]
+    link_columns = base.matrix[:, size:].reshape(len(base.matrix), -1, 10)
+    variance = np.square(np.einsum("abk,bkl->abl", link_columns, scaled)).sum(axis=(1, 2))
     return np.where((base.matrix[:, :size] != 0).any(axis=1), np.inf, np.sqrt(variance))

@@ -97,19 +97,19 @@ class LevenbergMarquardt(Fit):
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`; tries `state.asked`, the solver's vector in float64."""
-        found = objective.beginning(state.states).compile_normal_equations()(state.asked)
-        at = int(state.tried)
+        result = objective.beginning(state.states).compile_normal_equations()(state.asked)
+        row = int(state.tried)
         # The start must have finite equations; after a later vector without them the solver shortens its step.
-        lost = at == 0 and not found.finite
+        diverged = row == 0 and not result.finite
         equations = [part.copy() for part in (state.loss, state.gradient, state.hessian)]
-        before = state.loss[:at]
+        before = state.loss[:row]
         least = np.min(before, initial=np.inf, where=np.isfinite(before))  # of the vectors without divergence
-        states = found.states if is_near(found.loss, least) else state.states
-        for part, value in zip(equations, found[:3], strict=True):
-            part[at] = value
-        following = State(np.asarray(at + 1), state.asked, state.ended, *equations, states=states)
-        following = following if lost else _ask(objective, following, self._tolerance)
-        return Seen(found.loss, 2 * found.gradient, lost), following.asked, following
+        states = result.states if is_near(result.loss, least) else state.states
+        for part, value in zip(equations, result[:3], strict=True):
+            part[row] = value
+        following = State(np.asarray(row + 1), state.asked, state.ended, *equations, states=states)
+        following = following if diverged else _ask(objective, following, self._tolerance)
+        return Seen(result.loss, 2 * result.gradient, diverged), following.asked, following
 
     def done(self, state: Any) -> Any:
         """See `Fit.done`."""
@@ -132,22 +132,22 @@ class _AskedError(Exception):
 def _ask(objective: Objective, state: State, tolerance: float) -> State:
     """Return the state with the next vector of scipy's solver, or with the mark that it has ended.
 
-    The solver cannot be paused. It runs again from the start on the recorded results and asks for the same vectors in
-    the same order. That takes a fraction of a millisecond per vector; a simulation takes many milliseconds.
+    The solver cannot be paused. It runs again from the start on the recorded results, a fraction of a millisecond per
+    vector, and asks for the same vectors in the same order.
     """
     space, asked = objective.space, [state.asked]
     tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
     low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
     unit = float(state.loss[0]) or 1.0  # makes the tolerances relative to the initial loss
-    known: list[NormalEquations] = []
+    replayed: list[NormalEquations] = []
 
     def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
-        at = len(known)
-        if at == int(state.tried):
+        row = len(replayed)
+        if row == int(state.tried):
             asked.append(vector.copy())
             raise _AskedError
-        equations = NormalEquations(*(part[at] for part in (state.loss, state.gradient, state.hessian)))
-        known.append(equations)
+        equations = NormalEquations(*(part[row] for part in (state.loss, state.gradient, state.hessian)))
+        replayed.append(equations)
         if not equations.finite:
             return np.full(len(vector) + 1, np.inf)  # the solver rejects the step and tries a shorter one
         finite.append(equations)
@@ -155,7 +155,7 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
 
     finite: list[NormalEquations] = []
     try:
-        found = scipy.optimize.least_squares(
+        result = scipy.optimize.least_squares(
             residuals,
             np.clip(start, low, high),
             jac=lambda vector: compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
@@ -168,7 +168,7 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
         )
     except _AskedError:
         return state._replace(asked=asked[-1])
-    return state._replace(ended=np.asarray(found.status > 0))  # 0: all iterations used
+    return state._replace(ended=np.asarray(result.status > 0))  # 0: all iterations used
 
 
 def descend(
@@ -184,33 +184,29 @@ def descend(
     Each step goes to the minimum of the objective's quadratic model within the bounds. scipy's steps go at most half
     the way to a bound, and shorten the step of all other coordinates with it.
 
-    Args:
-        evaluate: Function that returns the normal equations at a vector.
-        box: Starting point and bounds.
-        tries: Largest number of vectors to try.
-        tolerance: The search ends when the predicted decrease is below this share of the objective.
-        enough: Function of the next vector that ends the search before that vector is tried.
-        patience: Number of vectors within which the loss must fall by a fifth; None for any progress.
+    The search ends after `tries` vectors; when the predicted decrease is below the share `tolerance` of the objective;
+    when `enough` holds for the next vector, before that is tried; or when the loss falls by less than a fifth within
+    `patience` vectors, None for any progress.
 
     Returns:
         The best vector and its loss; infinite where the objective is not finite at the start.
     """
-    at, damping, losses = np.clip(*box), _LEAST, list[float]()
-    found = evaluate(at)
-    if not found.finite:
-        return at, np.inf
+    best, damping, losses = np.clip(*box), _LEAST, list[float]()
+    equations = evaluate(best)
+    if not equations.finite:
+        return best, np.inf
     for _ in range(tries - 1):
-        losses.append(found.loss)
-        if patience is not None and len(losses) > patience and found.loss > _SLOW * losses[-1 - patience]:
+        losses.append(equations.loss)
+        if patience is not None and len(losses) > patience and equations.loss > _SLOW * losses[-1 - patience]:
             break
-        stiff = found.hessian * (1 + damping * np.eye(len(at)))
-        step = bounded_step(found.gradient, stiff, box.low - at, box.high - at)
-        promised = -float(2 * step @ found.gradient + step @ found.hessian @ step)
-        if promised <= tolerance * found.loss or damping > _STIFFEST or enough(tried := at + step):
+        stiff = equations.hessian * (1 + damping * np.eye(len(best)))
+        step = bounded_step(equations.gradient, stiff, box.low - best, box.high - best)
+        decrease = -float(2 * step @ equations.gradient + step @ equations.hessian @ step)
+        if decrease <= tolerance * equations.loss or damping > _STIFFEST or enough(trial := best + step):
             break
-        there = evaluate(tried)
-        if there.finite and there.loss < found.loss:
-            at, found, damping = tried, there, damping / 10 if damping > _SOFT else _LEAST
+        trial_equations = evaluate(trial)
+        if trial_equations.finite and trial_equations.loss < equations.loss:
+            best, equations, damping = trial, trial_equations, damping / 10 if damping > _SOFT else _LEAST
         else:
             damping = max(10 * damping, _SOFT)
-    return at, found.loss
+    return best, equations.loss

@@ -25,29 +25,24 @@ from frictionzoo.core.manifest import Manifest
 from frictionzoo.core.output import manifest_of
 
 _DATABASE = "mlflow/mlflow.db"
-_TAG = "frictionzoo"  # of MLflow runs that this program made
+_TAG = "frictionzoo"  # marks this program's MLflow runs
 
 
 class RunLogger(ABC):
     """Record of one run.
 
-    The record starts empty with every start of the fit. After a resume the loop logs the checkpoint's history again, so
-    no row of an interrupted run is missing or doubled.
+    It starts empty with every start of the fit. After a resume the loop logs the checkpoint's history again, so no row
+    is missing or doubled.
     """
 
     def start(
         self, folder: Path, hyperparameters: Mapping[str, Any], parameters: Mapping[str, str] | None = None
     ) -> Logger:
-        """Begin the record, in place of an interrupted run's record.
+        """Begin the record, in place of an interrupted run's record, and return Lightning's logger.
 
-        Args:
-            folder: The run's folder.
-            hyperparameters: Settings that distinguish this run; numbers, text, booleans, None and lists of these.
-            parameters: Full name of each identified parameter, with its unit and limits in words; its scalars are
-                called `NAME` or `NAME/JOINT`.
-
-        Returns:
-            Lightning's logger.
+        `hyperparameters` are settings that distinguish this run: numbers, text, booleans, None and lists of these.
+        `parameters` maps the full name of each identified parameter to its unit and limits in words; its scalars are
+        called `NAME` or `NAME/JOINT`.
 
         Raises:
             OutputError: A file that this program did not write is in the record's place.
@@ -60,13 +55,7 @@ class RunLogger(ABC):
         return self._logger
 
     def finish(self, step: int, metrics: Mapping[str, float], figures: Sequence[Path], text: str) -> None:
-        """End the record with the results.
-
-        Args:
-            step: Number of iterations done.
-            metrics: Final metrics by name.
-            figures: PNG files in the run's folder `figures/`.
-            text: A summary, in Markdown.
+        """End the record after `step` iterations: final metrics by name, PNG files in `figures/`, summary in Markdown.
 
         Raises:
             OSError: A file cannot be written.
@@ -90,10 +79,7 @@ class TensorBoard(RunLogger):
     def start(
         self, folder: Path, hyperparameters: Mapping[str, Any], parameters: Mapping[str, str] | None = None
     ) -> Logger:
-        """Begin the record as every logger does; the HParams tab shows the run from the first iteration on.
-
-        The Custom Scalars tab shows the loss and one chart per parameter, with its unit and limits.
-        """
+        """Begin the record: the run in the HParams tab, loss and a chart per parameter in the Custom Scalars tab."""
         logger = super().start(folder, hyperparameters, parameters)
         self._logger.experiment.add_custom_scalars(_lay_out(parameters or {}))
         # Lightning and torch would fix the tab's columns to those of one run. Without that, TensorBoard gathers them
@@ -106,11 +92,11 @@ class TensorBoard(RunLogger):
     def _open(self, folder: Path) -> Logger:
         _empty(self._files, "tensorboard")
         # purge_step: a running TensorBoard drops the interrupted run's rows from this step on.
-        how = {"default_hp_metric": False, "purge_step": 0, "filename_suffix": f".{self._files.token}"}
-        return _Events(folder, name="tensorboard", version="", **how)
+        options = {"default_hp_metric": False, "purge_step": 0, "filename_suffix": f".{self._files.token}"}
+        return _Events(folder, name="tensorboard", version="", **options)
 
     def finish(self, step: int, metrics: Mapping[str, float], figures: Sequence[Path], text: str) -> None:
-        """End the record as every logger does, and add the finished event file to the manifest."""
+        """End the record, and add the finished event file to the manifest."""
         super().finish(step, metrics, figures, text)
         self._files.adopt("tensorboard")
 
@@ -131,7 +117,7 @@ class _Events(TensorBoardLogger):
 
 def _lay_out(parameters: Mapping[str, str]) -> dict[str, dict[str, list[Any]]]:
     """Return categories of charts with patterns of scalar names, in the form of torch's writer."""
-    charts = {f"{name} [{said}]": ["Multiline", [rf"^{re.escape(name)}(/.*)?$"]] for name, said in parameters.items()}
+    charts = {f"{name} [{text}]": ["Multiline", [rf"^{re.escape(name)}(/.*)?$"]] for name, text in parameters.items()}
     fit = {"loss": ["Multiline", ["^loss$"]], "gradient norm": ["Multiline", ["^grad_norm$"]]}
     return {"fit": fit, "parameters": charts}
 
@@ -150,7 +136,7 @@ class Csv(RunLogger):
 
 
 class _Table(Logger):
-    """Replacement of Lightning's `CSVLogger` that notes each added row in the run's manifest."""
+    """Replacement of Lightning's `CSVLogger` that notes each row in the run's manifest."""
 
     _PATH = "csv/metrics.csv"
 
@@ -261,7 +247,7 @@ class Mlflow(RunLogger):
         store = f"sqlite:///{home / 'mlflow.db'}"
         client = mlflow.MlflowClient(store)
         # MLflow keeps the database open, so an earlier run is marked as deleted, not removed.
-        experiments = [known.experiment_id for known in client.search_experiments()]
+        experiments = [experiment.experiment_id for experiment in client.search_experiments()]
         for earlier in client.search_runs(experiments, f"tags.{_TAG} != ''"):
             client.delete_run(earlier.info.run_id)
         return MLFlowLogger(

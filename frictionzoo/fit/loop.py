@@ -62,18 +62,11 @@ def run_fit(
     patience: int | None = None,
     progress: bool = True,
 ) -> Outcome:
-    """Run a fit to its end, from the record's checkpoint if there is one.
+    """Run a fit to its end, from the record's checkpoint if there is one; `model` then holds the best values.
 
-    An interrupted and resumed fit ends with the same bits as an uninterrupted one.
-
-    Args:
-        fit: The method.
-        objective: The objective to minimise.
-        model: The friction model; it holds the best values afterwards.
-        record: The record on disk; None to keep the history in memory only.
-        chunk: Iterations in one compiled call.
-        patience: Number of iterations without a better loss after which to stop; None for no limit.
-        progress: Whether to show a progress bar if the output is a terminal.
+    An interrupted and resumed fit ends with the same bits as an uninterrupted one. Without `record` the history is in
+    memory only. `chunk` is the number of iterations in one compiled call, `patience` the number without a better loss
+    after which to stop. `progress` shows a bar if the output is a terminal.
 
     Raises:
         CheckpointError: The checkpoint cannot be read, or belongs to another run.
@@ -95,10 +88,7 @@ def run_fit(
 
 
 class _AtomicFiles(TorchCheckpointIO):
-    """Checkpoint writer that replaces a file atomically, from the same folder.
-
-    Lightning writes to the temporary folder first, and moving a file to another disk can be interrupted.
-    """
+    """Checkpoint writer that replaces a file atomically; Lightning moves it between disks, which can be interrupted."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         content = io.BytesIO()
@@ -107,10 +97,7 @@ class _AtomicFiles(TorchCheckpointIO):
 
 
 class _Saver(pl.Callback):
-    """Callback that saves a checkpoint after each chunk.
-
-    Lightning's ModelCheckpoint counts steps of torch optimisers. There are none, so it would save nothing.
-    """
+    """Callback that saves after each chunk; Lightning's ModelCheckpoint counts torch optimiser steps, always 0 here."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -120,8 +107,6 @@ class _Saver(pl.Callback):
 
 
 class _ProgressBar(pl.Callback):
-    """Progress bar with the loss of the last iteration, and as many of its parameters as fit."""
-
     _bar: tqdm | None = None
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -148,22 +133,21 @@ class _ProgressBar(pl.Callback):
 
 
 def _say_last(trace: Trace, room: int) -> str:
-    """Return the loss of the last iteration, and as many of its parameters as fit into `room` columns."""
-    told = f"loss={trace.loss[-1]:.3e}"
+    text = f"loss={trace.loss[-1]:.3e}"
     for name, rows in trace.params.items():
-        more = f", {name.partition('.')[2]}={' '.join(f'{v:.4g}' for v in rows[-1])}"
-        if len(told + more) > room:
+        entry = f", {name.partition('.')[2]}={' '.join(f'{v:.4g}' for v in rows[-1])}"
+        if len(text + entry) > room:
             break
-        told += more
-    return told
+        text += entry
+    return text
 
 
 def _train(module: FitModule, record: Record | None, checkpoint: Path | None, progress: bool) -> None:
-    place = record.folder if record else Path()
+    folder = record.folder if record else Path()
     callbacks: list[pl.Callback] = [_Saver(record.folder / "checkpoints" / CHECKPOINT)] if record else []
     # Lightning's advice about data loaders and GPUs does not apply: its loader holds one item.
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    claimed = claim(place, "run") if record else contextlib.nullcontext()
+    claimed = claim(folder, "run") if record else contextlib.nullcontext()
     with warnings.catch_warnings(), claimed:
         warnings.filterwarnings("ignore", module="lightning")
         try:
@@ -177,12 +161,12 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
                 enable_checkpointing=False,
                 enable_progress_bar=False,
                 enable_model_summary=False,
-                default_root_dir=place,
+                default_root_dir=folder,
             )
             trainer.fit(module, ckpt_path=checkpoint, weights_only=True)
         except OSError as error:
             raise OutputError(
-                f"{place}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
+                f"{folder}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
 
 

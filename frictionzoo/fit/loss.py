@@ -92,9 +92,8 @@ class Loss:
     def unexplained(self, errors: Array) -> Array:
         """Return position errors [rad or m] less the part that encoder rounding explains: all within half a step.
 
-        A rounded reading only says that the joint is within half a step of it, anywhere with equal probability. The
-        squared excess keeps estimates within that range. Plain least squares would pull them to the reading, and
-        successive rounding errors, which are correlated, would bias them.
+        Anywhere within half a step of a rounded reading is equally probable, and the squared excess keeps estimates
+        there. Plain least squares would pull them to the reading, and correlated rounding errors would bias them.
         """
         if not self.encoder_step:
             return errors
@@ -110,10 +109,7 @@ class Loss:
     def errors(
         self, start: tuple[Array, Array], predicted: tuple[Array, Array], armature: Any, block: Blocks
     ) -> Float[Array, "segments time nv kinds"]:
-        """Return weighted errors of position and velocity, or weighted impulses.
-
-        Estimated initial states have an error too, which comes first.
-        """
+        """Return weighted errors of position and velocity, or impulses; a refined initial state's errors come first."""
         errors = []
         rounded = (self.unexplained, lambda missed: missed)  # only positions are rounded
         for root, beyond, begun, after, measured in zip(
@@ -121,8 +117,8 @@ class Loss:
         ):
             if not root.any():
                 continue
-            whole = jnp.concatenate([begun[:, None], after], axis=1) if self.refine else after
-            missed = beyond(whole - (measured if self.refine else measured[:, 1:]))
+            states = jnp.concatenate([begun[:, None], after], axis=1) if self.refine else after
+            missed = beyond(states - (measured if self.refine else measured[:, 1:]))
             errors.append(root * self.counted(missed, armature, block))
         return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
 
@@ -151,10 +147,9 @@ class Loss:
         return jnp.sum(ROBUST[self.robust](squares / square)) * square
 
     def shares(self, squares: Array, exact: bool) -> tuple[Array, Array]:
-        """Return the weight of each residual in the gradient and in the Hessian.
+        """Return the weight of each residual in the gradient and in the Hessian: the slope of the robust loss.
 
-        The weight is the slope of the robust loss, as in iteratively reweighted least squares. With `exact`, the
-        Hessian's weight is the second derivative of the loss, which can be negative.
+        With `exact`, the Hessian's weight is the second derivative of the loss, which can be negative.
         """
         squares = squares / self.robust_scale**2
         robust = ROBUST[self.robust]
@@ -170,16 +165,14 @@ def bend(errors: Array, widths: Array) -> Array:
     Gauss-Newton assumes 1, which holds for an error that counts from 0 on. Within half an encoder step the factor is up
     to 2, and a Gauss-Newton step would be nearly twice too long.
 
-    Args:
-        errors: Errors e of `Loss.unexplained`, e = w (log(1 + exp((x - h) / w)) - log(1 + exp((-x - h) / w))), which is
-            about 2 w exp(-h / w) sinh(x / w) for |x| < h. There e e'' / e'^2 is tanh(x / w)^2; elsewhere it is
-            (e / w) / (exp(e / w) - 1).
-        widths: Widths w; 0 where the error is x.
+    The errors e are those of `Loss.unexplained`, e = w (log(1 + exp((x - h) / w)) - log(1 + exp((-x - h) / w))), about
+    2 w exp(-h / w) sinh(x / w) for |x| < h. There e e'' / e'^2 is tanh(x / w)^2; elsewhere it is
+    (e / w) / (exp(e / w) - 1). The widths w are 0 where the error is x.
     """
     soft = widths > 0
-    over = jnp.where(soft, jnp.abs(errors) / jnp.where(soft, widths, 1.0), 0.0)
-    sinh = jnp.square(over * math.exp(1 / _SOFT) / 2)
-    least = jnp.maximum(over, jnp.finfo(errors.dtype).tiny ** 0.5)
+    ratio = jnp.where(soft, jnp.abs(errors) / jnp.where(soft, widths, 1.0), 0.0)
+    sinh = jnp.square(ratio * math.exp(1 / _SOFT) / 2)
+    least = jnp.maximum(ratio, jnp.finfo(errors.dtype).tiny ** 0.5)
     return 1 + least / jnp.expm1(least) * sinh / (1 + sinh)
 
 
@@ -192,14 +185,14 @@ def mean_squares(
     loss: Loss, rollout: Callable[..., tuple[Any, Any]], values: Values, data: Blocks
 ) -> Float[np.ndarray, "nv 2"]:
     """Return the mean squares of each joint's errors over all segments, from measured initial states."""
-    found, number = np.zeros((data.qpos.shape[3], 2)), np.zeros(data.qpos.shape[3])
+    squares, counts = np.zeros((data.qpos.shape[3], 2)), np.zeros(data.qpos.shape[3])
     for block in each(data):
         predicted = rollout(values, block.qpos[:, 0], block.qvel[:, 0], block.signals, block.load)
         measured, armature = (block.qpos[:, 1:], block.qvel[:, 1:]), values["bench"]["armature"]
         missed = [loss.counted(new - old, armature, block) for new, old in zip(predicted, measured, strict=True)]
-        found += np.einsum("stvk,s->vk", np.square(np.stack(missed, axis=-1)), block.weight)
-        number += count_terms(block)
-    return found / np.maximum(number, 1)[:, None]
+        squares += np.einsum("stvk,s->vk", np.square(np.stack(missed, axis=-1)), block.weight)
+        counts += count_terms(block)
+    return squares / np.maximum(counts, 1)[:, None]
 
 
 def count_terms(data: Blocks) -> Float[np.ndarray, "nv"]:

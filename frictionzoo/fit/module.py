@@ -25,10 +25,8 @@ class Outcome:
     """Outcome of a fit.
 
     Attributes:
-        method: Name of the method.
         vector: Coordinates of the best iteration.
         values: Physical values of all parameters there, by owner and name.
-        iterations: Number of iterations done.
         best_iteration: The iteration with the lowest loss on the whole training set, from 0.
         loss: That loss.
         stopped: `converged`, `finished` (all iterations done), `patience`, `diverged`, or `interrupted`.
@@ -56,8 +54,6 @@ class FitModule(pl.LightningModule):
     """Lightning module of a fit: one epoch is one chunk of iterations, and the method does the updates.
 
     Args:
-        fit: The method.
-        objective: The objective to minimise.
         model: The friction model; a checkpoint holds its state_dict.
         identity: Values by name that must agree with the checkpoint's before the fit resumes.
         chunk: Iterations in one compiled call.
@@ -180,10 +176,10 @@ class FitModule(pl.LightningModule):
     def _explain_divergence(self) -> str | None:
         if not bool(self.progress.broken):
             return None
-        some = int(self.progress.best_iteration) >= 0
-        kept = "the best earlier iteration is kept" if some else "no earlier iteration is finite"
+        has_best = int(self.progress.best_iteration) >= 0
+        earlier = "the best earlier iteration is kept" if has_best else "no earlier iteration is finite"
         return (
-            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {kept}; "
+            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {earlier}; "
             f"{'lower fit.learning_rate, or ' if self._fit.name == 'adam' else ''}start from other initial values or "
             "narrower bounds"
         )
@@ -195,8 +191,8 @@ class FitModule(pl.LightningModule):
         # A loss that is not finite has no finite gradient entry, so the gradient does not show the cause.
         if int(self.progress.best_iteration) < 0:
             return f"the loss or its gradient is not finite at the initial values of {', '.join(space.names)}"
-        moved = space.farthest(np.asarray(self.progress.vector), np.asarray(self.progress.best))
-        return f"the loss or its gradient is not finite, with {moved} farthest from its best value"
+        farthest = space.farthest(np.asarray(self.progress.vector), np.asarray(self.progress.best))
+        return f"the loss or its gradient is not finite, with {farthest} farthest from its best value"
 
     def _whole_history(self) -> Trace:
         if self.history:
@@ -223,10 +219,10 @@ def _from_tensors(tensors: list[torch.Tensor], like: Any, rows: int | None = Non
     """Return the tensors as a pytree like `like`, with `rows` rows if given; raise ValueError on a mismatch."""
     expected = jax.tree.leaves(like)
     for tensor, leaf in zip(tensors, expected, strict=True):
-        came, kind = tensor.numpy(), np.asarray(leaf).dtype
+        array, kind = tensor.numpy(), np.asarray(leaf).dtype
         shape = np.shape(leaf) if rows is None else (rows, *np.shape(leaf)[1:])
-        if came.dtype != kind or came.shape != shape:
-            raise ValueError(f"{came.dtype} of shape {came.shape}, expected {kind} of shape {shape}")
+        if array.dtype != kind or array.shape != shape:
+            raise ValueError(f"{array.dtype} of shape {array.shape}, expected {kind} of shape {shape}")
     # numpy stays numpy: JAX would round float64 in 32-bit mode.
     leaves = [
         tensor.numpy() if isinstance(leaf, np.ndarray) else jnp.asarray(tensor.numpy())

@@ -21,13 +21,7 @@ BANDWIDTH = 20.0
 
 
 class Motion(NamedTuple):
-    """Motion of the joints, each of shape (time, nv).
-
-    Attributes:
-        qpos: Position [rad or m].
-        qvel: Velocity [rad/s or m/s].
-        qacc: Acceleration [rad/s^2 or m/s^2].
-    """
+    """Position [rad or m], velocity [rad/s or m/s] and acceleration [rad/s^2 or m/s^2] of the joints."""
 
     qpos: Float[np.ndarray, "time nv"]
     qvel: Float[np.ndarray, "time nv"]
@@ -40,8 +34,8 @@ class Filtering:
 
     Attributes:
         bandwidth: Frequency up to which torques are compared [Hz].
-        cutoff: Cut-off of the low-pass filter of the positions [Hz]; None for `WIDER` times the bandwidth, so that it
-            attenuates accelerations only above the bandwidth, or less if the sample rate requires it.
+        cutoff: Cut-off of the low-pass filter of the positions [Hz]; None for `WIDER` times the bandwidth, so that
+            accelerations below the bandwidth pass, or less if the sample rate requires it.
         order: Order of that filter, which running it forwards and backwards doubles.
         slow: Share of a joint's root mean square speed below which a sample does not count, because friction differs
             where the motion reverses.
@@ -64,9 +58,7 @@ class Filtering:
         refuse_outside(f"{self.option}.slow", self.slow, 0, 1)
 
     def motion(self, log: Log) -> Motion:
-        """Return position, velocity and acceleration from measured positions, without phase lag.
-
-        A zero-phase Butterworth low-pass filter is followed by central differences.
+        """Return motion from measured positions: a zero-phase Butterworth low-pass filter, then central differences.
 
         Source: M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error method for parameter
         identification of robot dynamics", 2013.
@@ -79,8 +71,8 @@ class Filtering:
         cutoff = min(WIDER * self.bandwidth, highest) if self.cutoff is None else self.cutoff
         qpos = smooth(log.qpos, log.timestep, cutoff, self.order, log.name, f"{self.option}.cutoff")
         # The second difference over two intervals; two first differences in a row would span four.
-        inner = (qpos[2:] - 2 * qpos[1:-1] + qpos[:-2]) / log.timestep**2
-        return Motion(qpos, np.gradient(qpos, log.timestep, axis=0), np.pad(inner, ((1, 1), (0, 0)), mode="edge"))
+        qacc = (qpos[2:] - 2 * qpos[1:-1] + qpos[:-2]) / log.timestep**2
+        return Motion(qpos, np.gradient(qpos, log.timestep, axis=0), np.pad(qacc, ((1, 1), (0, 0)), mode="edge"))
 
     def is_moving(self, qvel: Float[np.ndarray, "rows nv"]) -> Bool[np.ndarray, "rows nv"]:
         """Return which samples count, joint by joint."""

@@ -47,9 +47,9 @@ def compress(
     roots = np.sqrt(np.where(kept, eigenvalues, 0.0))
     jacobian = roots[:, None] * vectors.T * scale
     inside = np.where(kept, vectors.T @ (equations.gradient / scale), 0.0) / np.where(kept, roots, 1.0)
-    rest = np.sqrt(max(equations.loss - inside @ inside, 0.0))
+    remainder = np.sqrt(max(equations.loss - inside @ inside, 0.0))
     root = np.sqrt(unit)
-    return np.append(inside, rest) / root, np.vstack([jacobian, np.zeros(len(scale))]) / root
+    return np.append(inside, remainder) / root, np.vstack([jacobian, np.zeros(len(scale))]) / root
 
 
 def bounded_step(
@@ -64,5 +64,5 @@ def bounded_step(
     """
     scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
     residual, slopes = compress(NormalEquations(0.0, gradient, hessian), 1.0)
-    found = scipy.optimize.lsq_linear(slopes / scale, -residual, (low * scale, high * scale), "bvls")
-    return np.where(found.active_mask < 0, low, np.where(found.active_mask > 0, high, found.x / scale))
+    solution = scipy.optimize.lsq_linear(slopes / scale, -residual, (low * scale, high * scale), "bvls")
+    return np.where(solution.active_mask < 0, low, np.where(solution.active_mask > 0, high, solution.x / scale))

@@ -49,31 +49,24 @@ class Objective:
     for position and velocity.
 
     Attributes:
-        space: The coordinates.
-        data: The segments, spread over all local devices: the last argument of the methods `loss` and
-            `value_and_grad`.
+        data: The segments, spread over all local devices: the last argument of `loss` and `value_and_grad`.
         devices: Number of these devices.
         stretches: Number of stretches of consecutive segments; see `divide`.
         compile: `jax.jit` for functions that call these methods.
         interval: Sample interval [s].
         sizes: Mean squares by which `balanced` divides squared errors, of shape (nv, 2); None without it.
         recordings: Recordings that the segments were cut from; None where the segments follow another drive.
-        torch_law: Name of the friction model if it exists only in torch; None otherwise. With such a model the loss
-            takes concrete arrays, cannot be compiled, and has a gradient but no Jacobian.
 
     Args:
-        space: The coordinates.
-        rollout: The simulated drive.
-        segments: Measured segments.
         position: Weight of squared position errors [1/rad^2 or 1/m^2].
         velocity: Weight of squared velocity errors [s^2/rad^2 or s^2/m^2].
         robust: Robust loss by scipy's name: `none`, `huber`, `soft_l1` or `cauchy`.
         robust_scale: Weighted residual above which the robust loss grows slower than the square.
-        refine: Whether to estimate each segment's initial state from its measured state and all later samples
-            (multiple shooting); otherwise the measured state is used.
-        continuity: Weight of the defect between the end of a segment and the initial state of the next one in the same
-            recording, relative to the weights of position and velocity errors; 0 for independent segments. With it,
-            short segments act as one long rollout that cannot diverge.
+        refine: Whether to estimate each segment's initial state from all its samples (multiple shooting); otherwise the
+            measured state is used.
+        continuity: Weight of the defect between a segment's end and the next initial state in the same recording,
+            relative to the other weights; 0 for independent segments. Short segments then act as one long rollout that
+            cannot diverge.
         encoder_step: Resolution of the position encoder [rad or m]: errors count beyond half of it; 0 for none.
         by_joint: Whether `balanced` weights the joints.
         impulse: Whether to turn velocity errors into the impulse that each joint lacked in each sample interval.
@@ -101,12 +94,12 @@ class Objective:
         impulse: bool = False,
         slow: float = 0.0,
     ) -> None:
-        how = position, velocity, robust, robust_scale, refine, continuity, encoder_step, by_joint, impulse, slow
-        self._loss = Loss(*how)
-        for option, why in (("refine", "with no forward mode"), ("impulse", "where the loss has no armature")):
+        settings = position, velocity, robust, robust_scale, refine, continuity, encoder_step, by_joint, impulse, slow
+        self._loss = Loss(*settings)
+        for option, reason in (("refine", "with no forward mode"), ("impulse", "where the loss has no armature")):
             if isinstance(rollout, TorchRollout) and getattr(self._loss, option):
                 raise ConfigError(
-                    f"loss.{option}=true: {rollout.law} exists only in torch, {why}; set loss.{option}=false"
+                    f"loss.{option}=true: {rollout.law} exists only in torch, {reason}; set loss.{option}=false"
                 )
         if continuity and (segments.follows is None or not segments.follows.any()):
             raise ConfigError(
@@ -157,9 +150,9 @@ class Objective:
         """Start of the search for initial states with their derivatives; None where they are not estimated."""
         if not self._loss.refine:
             return None
-        whole, vector = self._whole(self.space.start)
-        of = whole._sparsity
-        slopes = np.zeros((len(of.joints), self.data.weight.size, len(of.states), len(of.seeds)))
+        objective, vector = self._whole(self.space.start)
+        sparsity = objective._sparsity
+        slopes = np.zeros((len(sparsity.joints), self.data.weight.size, len(sparsity.states), len(sparsity.seeds)))
         return Begun(self.states, vector, slopes, np.asarray(np.inf)) if self._begun is None else self._begun
 
     @property
@@ -190,11 +183,8 @@ class Objective:
     def balanced(self, sizes: Float[np.ndarray, "nv 2"] | None = None) -> "Objective":
         """Return this objective with errors divided by their size at the start of the fit, joint by joint.
 
-        The size is the root mean square of a joint's position and velocity errors over all segments, from measured
-        initial states, as in weighted least squares. Without `by_joint` nothing changes.
-
-        Args:
-            sizes: The mean squares; None to compute them.
+        The size is the root mean square of position and velocity errors from measured initial states, as in weighted
+        least squares. `sizes` holds the mean squares; None computes them. Without `by_joint` nothing changes.
 
         Raises:
             ConfigError: The rollouts at the start are not finite.
@@ -208,15 +198,10 @@ class Objective:
         return other
 
     def within(self, wider: "Objective", vector: Float[np.ndarray, "wider"]) -> "Objective":
-        """Return this objective evaluated by the compiled equations of one with more coordinates, on the same data.
-
-        Args:
-            wider: The objective with more coordinates and the same loss.
-            vector: Coordinates of `wider`, which fix those that this objective lacks.
-        """
+        """Return this objective evaluated by the equations of `wider`, whose further coordinates `vector` fixes."""
         other = copy.copy(self)
-        places = np.array([wider.space.labels.index(label) for label in self.space.labels], int)
-        other._wider, other._programs = (wider, places, vector), {}
+        indices = np.array([wider.space.labels.index(label) for label in self.space.labels], int)
+        other._wider, other._programs = (wider, indices, vector), {}
         return other
 
     def predict(
@@ -224,14 +209,12 @@ class Objective:
     ) -> list[Float[Array, "blocks segments time nv"]]:
         """Return simulated positions and velocities by block and segment.
 
-        Args:
-            vector: The coordinates.
-            states: Initial states, (blocks, segments, twice nv); None for those at which their search begins.
+        `states` are initial states, (blocks, segments, twice nv); None uses those at which their search begins.
         """
         values = self.space.values(jnp.asarray(vector, self.space.start.dtype))
         # numpy, on no device yet: arrays on a device would compile the rollouts again.
         states = np.asarray(self.data.begun if states is None else states)
-        starts = (jnp.split(jnp.asarray(own), 2, axis=1) for own in states)
+        starts = (jnp.split(jnp.asarray(state), 2, axis=1) for state in states)
         parts = [
             self._rollout.compiled(values, *start, block.signals, block.load)
             for start, block in zip(starts, each(self.data), strict=True)
@@ -241,19 +224,15 @@ class Objective:
     def approaching(self, finer: "Objective", vector: Float[np.ndarray, "coordinates"]) -> "Objective":
         """Return this objective with the residuals of a finer simulation near a vector, but its present derivatives.
 
-        Measured states are shifted by the difference between the two simulations' rollouts. The finer simulation then
-        needs compiled rollouts only, no derivatives.
+        Measured states are shifted by the difference of the rollouts, so the finer simulation needs no derivatives.
+        `finer` may have more coordinates; see `within`.
 
         Source: V. Pereyra, "Iterated deferred corrections for nonlinear boundary value problems", 1968.
-
-        Args:
-            finer: The objective with the finer simulation, or its version with more coordinates; see `within`.
-            vector: The coordinates.
         """
-        other, begun, (whole, at) = copy.copy(self), self.data.begun, self._whole(vector)
-        fine = finer.predict(at if finer.space.labels == whole.space.labels else vector, begun)
-        ends = zip(whole.predict(at, begun), fine, strict=True)
-        qpos, qvel = (coarse - fine for coarse, fine in ends)
+        other, begun, (wider, coordinates) = copy.copy(self), self.data.begun, self._whole(vector)
+        fine = finer.predict(coordinates if finer.space.labels == wider.space.labels else vector, begun)
+        pairs = zip(wider.predict(coordinates, begun), fine, strict=True)
+        qpos, qvel = (coarse - fine for coarse, fine in pairs)
         other._correction = qpos, qvel
         return other
 
@@ -261,30 +240,33 @@ class Objective:
         """Return the objective whose equations are compiled, and its coordinates."""
         if self._wider is None:
             return self, np.asarray(vector, np.float64)
-        whole, places, beside = self._wider
-        at = np.array(beside, np.float64)
-        at[places] = vector
-        return whole, at
+        wider, places, fixed = self._wider
+        coordinates = np.array(fixed, np.float64)
+        coordinates[places] = vector
+        return wider, coordinates
 
     def describe(self) -> str:
         """Return the compiled program of a block's residuals as text, with the settings of the loss."""
 
         def residuals(vector: Array, block: Blocks) -> Array:
-            own = measured_states(block.qpos[None], block.qvel[None])[0]
-            return self._residuals(self.space.values(vector), own, own, block)
+            measured = measured_states(block.qpos[None], block.qvel[None])[0]
+            return self._residuals(self.space.values(vector), measured, measured, block)
 
         block = next(each(self.data))
         return self.compile(residuals, forward=True).lower(self.space.start, block).as_text() + repr(self._loss)
 
     def remember(self, what: Hashable, make: Callable[[], T]) -> T:
-        """Return what was made under this name before, or make and keep it."""
+        """Return the object stored under this name, or make and store it."""
         if what not in self._programs:
             self._programs[what] = make()
         return self._programs[what]
 
     @property
     def torch_law(self) -> str | None:
-        """Name of the friction model if it exists only in torch, else None."""
+        """Name of the friction model if it exists only in torch, else None.
+
+        With such a model the loss takes concrete arrays, cannot be compiled, and has a gradient but no Jacobian.
+        """
         return self._rollout.law if isinstance(self._rollout, TorchRollout) else None
 
     def spread(self, tree: Any) -> Any:
@@ -308,8 +290,7 @@ class Objective:
     def value_and_grad(self, derivative: str) -> Callable[[Array, Blocks], tuple[Array, Array]]:
         """Return a function of a vector and the data that gives the objective and its gradient, not compiled.
 
-        Args:
-            derivative: `forward` (one tangent per coordinate), `reverse`, or `auto` for the cheaper one.
+        `derivative` is `forward` (one tangent per coordinate), `reverse`, or `auto` for the cheaper one.
 
         Raises:
             ConfigError: The engine has no reverse mode for this bench, or the model has no forward mode.
@@ -341,7 +322,6 @@ class Objective:
     def _value_and_grad_in_torch(
         self, rollout: TorchRollout, derivative: str
     ) -> Callable[[Array, Blocks], tuple[Array, Array]]:
-        """Return the same function for a model that exists only in torch; JAX parts become torch operations."""
         if derivative == "forward":
             raise ConfigError(
                 f"fit.derivative=forward: {rollout.law} exists only in torch, which has reverse mode only; set "
@@ -372,8 +352,8 @@ class Objective:
     def compile_normal_equations(self) -> Callable[[Float[np.ndarray, "coordinates"]], NormalEquations]:
         """Return a compiled function of a vector that gives the normal equations with exact Jacobians.
 
-        Blocks are summed one by one in float64, so memory never holds the Jacobian of all residuals. Estimated initial
-        states are eliminated (Schur complement).
+        Blocks are summed one by one in float64, so no Jacobian of all residuals is in memory. Estimated initial states
+        are eliminated.
         """
         evaluate = self._compile_equations(exact=False)
         return lambda vector: evaluate(vector)[0]
@@ -385,8 +365,8 @@ class Objective:
     ]:
         """Return the function of `compile_normal_equations`, extended by the gradient of each stretch of segments.
 
-        For a robust loss the Hessian uses the exact second derivative of the loss, which can be negative. A fit uses
-        its slope instead, so that every step descends.
+        A robust loss enters the Hessian with its exact second derivative, which can be negative. A fit uses its slope
+        instead, so that every step descends.
         """
         return self._compile_equations(exact=self._loss.robust != "none")
 
@@ -395,8 +375,8 @@ class Objective:
         compiled = self._whole(self.space.start)[0]._compiled(exact)
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
-            at = self.spread(jnp.asarray(self._whole(vector)[1], self.space.start.dtype))
-            loss, scores, hessian, begun = compiled(at, self._corrected, self._begun)
+            coordinates = self.spread(jnp.asarray(self._whole(vector)[1], self.space.start.dtype))
+            loss, scores, hessian, begun = compiled(coordinates, self._corrected, self._begun)
             scores, hessian = scores[:, places], hessian[places][:, places]
             return NormalEquations(float(loss), scores.sum(axis=0), hessian, begun), scores
 
@@ -405,20 +385,17 @@ class Objective:
     @property
     def _corrected(self) -> Blocks:
         """Data of the compiled equations, with the correction of `approaching` added to the measured states."""
-        whole, data = self._whole(self.space.start)[0], self.data
-        if whole is not self:  # with a delay among its coordinates, its commands start earlier
-            data = whole.data._replace(qpos=data.qpos, qvel=data.qvel, weight=data.weight, begun=data.begun)
-        if (correction := self._correction or whole._correction) is None:
+        wider, data = self._whole(self.space.start)[0], self.data
+        if wider is not self:  # with a delay among its coordinates, its commands start earlier
+            data = wider.data._replace(qpos=data.qpos, qvel=data.qvel, weight=data.weight, begun=data.begun)
+        if (correction := self._correction or wider._correction) is None:
             return data
         states = zip((data.qpos, data.qvel), correction, strict=True)
-        qpos, qvel = (measured.at[:, :, 1:].add(by) for measured, by in states)
+        qpos, qvel = (measured.at[:, :, 1:].add(shift) for measured, shift in states)
         return data._replace(qpos=qpos, qvel=qvel)
 
     def _compiled(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
-        """Return the function that gives loss, gradient by stretch, Hessian and the next start of initial states.
-
-        The last is None where initial states are not estimated.
-        """
+        """Return the function for loss, gradient by stretch, Hessian, and next start of initial states or None."""
         return self.remember(exact, lambda: self._compile(exact))
 
     def _compile(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
@@ -426,7 +403,7 @@ class Objective:
         shooting, finish = self._shooting, jax.jit(self._finish)
         measured = measured_states(self.data.qpos, self.data.qvel)
         example = tuple(jax.device_put(part, self.data.begun.sharding) for part in (measured, follow(measured)))
-        look = self._compile_both(
+        solve_block = self._compile_both(
             lambda vector, part: self._look(vector, *part),
             lambda seen, part: self._block_equations(seen, exact),
             next(each_part(self.data, example)),
@@ -435,7 +412,7 @@ class Objective:
         def equations(vector: Array, data: Blocks, states: Array) -> Equations:
             sharding = data.begun.sharding  # the one that the programs were compiled for
             blocks = each_part(data, tuple(jax.device_put(part, sharding) for part in (states, follow(states))))
-            parts = side_by_side(lambda part: jax.tree.map(np.asarray, look(vector, part)), blocks, self.devices)
+            parts = side_by_side(lambda part: jax.tree.map(np.asarray, solve_block(vector, part)), blocks, self.devices)
             return join_equations(parts)
 
         @jax.jit
@@ -458,53 +435,52 @@ class Objective:
                 trial, states = begin(vector, begun, host)
             search = None
             while search is None or not search.ended:
-                tried, found = states, equations(vector, data, states)
-                assert found.local is not None
+                tried, system = states, equations(vector, data, states)
+                assert system.local is not None
                 if search is None:
-                    unknown = jax.tree.map(lambda part: np.full_like(part, np.inf), found.local)
+                    unknown = jax.tree.map(lambda part: np.full_like(part, np.inf), system.local)
                     search = Search.begin(trial, unknown, np.nan if begun is None else begun.square)
-                search, states, best = advance(search, found.local, host)
+                search, states, best = advance(search, system.local, host)
             if begun is not None and search.settled:
-                found = found._replace(loss=found.loss - search.gain)
-            elif np.isfinite(found.loss):
-                found = found if np.array_equal(tried, best) else equations(vector, data, best)
+                system = system._replace(loss=system.loss - search.gain)
+            elif np.isfinite(system.loss):
+                system = system if np.array_equal(tried, best) else equations(vector, data, best)
                 states = best
-            *ends, slopes = finish(found, host)
-            return *to_numpy(ends), Begun(*map(np.asarray, (states, vector, slopes, found.loss)))
+            *sums, slopes = finish(system, host)
+            return *to_numpy(sums), Begun(*map(np.asarray, (states, vector, slopes, system.loss)))
 
         return evaluate
 
     def _compile_both(
         self, look: Callable[[Array, Any], Any], then: Callable[[Any, Any], Any], example: Any
     ) -> Callable[[Array, Any], Any]:
-        """Compile two programs into one function of a vector and a block: a rollout, and the equations from it.
+        """Compile a rollout and the equations from it into one function of a vector and a block.
 
-        On one device they compile in parallel. With several devices the first must run once, because the second needs
-        the sharding of its results.
+        On one device they compile in parallel. With several, the equations need the sharding of the rollout's results.
         """
         start = self.spread(self.space.start)
         if self.devices == 1:  # the shape only, so that the compilation cache finds the program
             start = jax.ShapeDtypeStruct(start.shape, start.dtype)
         lowered = self.compile(look, forward=True).lower(start, example)
-        with ThreadPoolExecutor(1) as beside:
-            compiling = beside.submit(lowered.compile)
-            seen = lowered.out_info if self.devices == 1 else compiling.result()(start, example)
-            second = jax.jit(then, compiler_options=FORWARD).lower(seen, example).compile()
-            first = compiling.result()
-        return lambda vector, part: second(first(vector, part), part)
+        with ThreadPoolExecutor(1) as pool:
+            compiling = pool.submit(lowered.compile)
+            linearised = lowered.out_info if self.devices == 1 else compiling.result()(start, example)
+            equations = jax.jit(then, compiler_options=FORWARD).lower(linearised, example).compile()
+            rollout = compiling.result()
+        return lambda vector, part: equations(rollout(vector, part), part)
 
     def _states(self, vector: Array, data: Blocks) -> tuple[Array, Array]:
         """Return initial states of all segments and of their successors, (blocks, segments, twice_nv).
 
-        They are measured or estimated. No derivative goes through the estimation: at its minimum the objective does not
-        change with the initial states, so its gradient is the gradient at fixed states.
+        No derivative goes through their estimation: at its minimum the objective does not change with the initial
+        states.
         """
         if self._loss.refine:
             values, data = jax.lax.stop_gradient((self.space.values(vector), data))
-            own = jax.lax.stop_gradient(self._shooting.find_states(values, data))
+            states = jax.lax.stop_gradient(self._shooting.find_states(values, data))
         else:
-            own = measured_states(data.qpos, data.qvel)
-        return own, follow(own)
+            states = measured_states(data.qpos, data.qvel)
+        return states, follow(states)
 
     @property
     def _tangents(self) -> Tangents:
@@ -561,7 +537,7 @@ class Objective:
         return Equations(loss, gradient, hessian, local, Mixed(mixed, jnp.moveaxis(self._shooting.gap(slopes), 0, 3)))
 
     def _bent(self, errors: Float[Array, "branches segments terms"]) -> Float[Array, "branches #segments terms"]:
-        """Return `bend` of residuals by branch. Defects, which come last, have no width."""
+        """Return `bend` of residuals by branch; defects, which come last, have no width."""
         if not self._loss.encoder_step:
             return jnp.ones_like(errors)
         widths = self._loss.widths(self.data.qpos.shape[3])
@@ -572,15 +548,12 @@ class Objective:
         return bend(errors, self._sparsity.by_branch(jnp.asarray(rows, errors.dtype)))
 
     def _finish(self, found: Equations, data: Blocks) -> tuple[Array, ...]:
-        """Return loss, gradient by stretch, Hessian over the coordinates, and derivative of the best initial states.
-
-        Initial states are eliminated. Where they are not estimated, the last is empty.
-        """
+        """Eliminate initial states; return loss, gradient by stretch, Hessian, and slopes of the best states if any."""
         loss, gradient, hessian, local, mixed = found
         slopes = jnp.zeros(0)
         if local is not None and mixed is not None:
-            taken, lost, slopes = self._shooting.eliminate(local, mixed, data)
-            gradient, hessian = gradient - taken, hessian - lost
+            gradient_shift, hessian_shift, slopes = self._shooting.eliminate(local, mixed, data)
+            gradient, hessian = gradient - gradient_shift, hessian - hessian_shift
         members = jax.nn.one_hot(data.stretch.ravel(), self.stretches, dtype=gradient.dtype)
         gradient, hessian = self._sparsity.gradient(gradient), self._sparsity.hessian(hessian)
         scores = jnp.einsum("sg,si->gi", members, gradient, precision="highest")

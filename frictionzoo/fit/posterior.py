@@ -38,13 +38,7 @@ _STEP = 0.5  # initial step size, in standard deviations
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Objective of a fit, with the data, and its best vector; in memory only: a pickle or deep copy of it is None.
-
-    Attributes:
-        objective: The objective that was minimised.
-        vector: The best coordinates.
-        fit: The method that found them.
-    """
+    """Objective of a fit, its best vector and the method; in memory only: a pickle or deep copy of it is None."""
 
     objective: Objective
     vector: Float[np.ndarray, "coordinates"]
@@ -84,7 +78,7 @@ def draw_posterior(fitted: Fitted, covariance: Covariance, count: int, seed: int
         C    makes (c H)^-1 equal to the sandwich covariance V; the identity where they agree already
 
     Where F is quadratic, p is that Student's t, truncated at the bounds; elsewhere p has the skewness and curvature of
-    F. The sum of squares of correlated residuals as log-likelihood would make p several times too narrow, like
+    F. Residuals are correlated: their sum of squares as log-likelihood would make p several times too narrow, like
     sigma^2 H^-1. c adjusts its magnitude and C its remaining curvature; C is the solution that is symmetric in units of
     standard deviations. y is clipped to the bounds. The power replaces exp(-D) because V has n degrees of freedom only:
     it integrates out the chi-squared number by whose root `Covariance.draw` divides.
@@ -92,12 +86,6 @@ def draw_posterior(fitted: Fitted, covariance: Covariance, count: int, seed: int
     `CHAINS` chains of NUTS sample the logit of x between its bounds. They start around m and take `WARMUP` steps and at
     least `FEWEST` draws. As in the intervals, a coordinate that ended at a bound counts as known; so does one that has
     an effect only in combination with others.
-
-    Args:
-        fitted: The objective and its best vector.
-        covariance: Distribution of the coordinates to sample.
-        count: Number of draws to return.
-        seed: Seed of the draws.
 
     Raises:
         ConfigError: blackjax is not installed, there are more than `MOST_COORDINATES` coordinates, or the fit has a
@@ -113,10 +101,10 @@ def draw_posterior(fitted: Fitted, covariance: Covariance, count: int, seed: int
     """
     target = _Target.of(fitted, covariance)
     draws = max(FEWEST, -(-count // CHAINS))
-    found, diverged = _sample(fitted.objective, target, draws, seed)
-    rhat, effective = (dict(zip(covariance.labels, values, strict=True)) for values in _diagnose(found))
-    chains = Chains(_pick(fitted.vector, target.own, found, count), rhat, effective, int(diverged.sum()))
-    _refuse_disagreement(chains, found.shape[0] * draws)
+    samples, diverged = _sample(fitted.objective, target, draws, seed)
+    rhat, effective = (dict(zip(covariance.labels, values, strict=True)) for values in _diagnose(samples))
+    chains = Chains(_pick(fitted.vector, target.own, samples, count), rhat, effective, int(diverged.sum()))
+    _refuse_disagreement(chains, samples.shape[0] * draws)
     return chains
 
 
@@ -126,12 +114,8 @@ class _Target:
 
     Attributes:
         own: Indices of the sampled coordinates in the objective's vector.
-        best: The best vector, of all coordinates.
         least: The objective there.
         centre: Middle of each coordinate's interval.
-        low: Lower end of the sampled range.
-        high: Upper end of the sampled range.
-        freedom: Degrees of freedom.
         magnitude: c of `draw_posterior`.
         curvature: C of `draw_posterior`.
         origin: Logit of the centre between `low` and `high`.
@@ -159,20 +143,20 @@ class _Target:
         equations, _ = fitted.objective.compile_scores()(fitted.vector)
         hessian, gradient = equations.hessian[np.ix_(own, own)], equations.gradient[own]
         magnitude, curvature = adjust(hessian, covariance.matrix)
-        left = float(np.sqrt(magnitude * gradient @ np.linalg.solve(hessian, gradient)))
-        if not left < _LEFT:
+        offset = float(np.sqrt(magnitude * gradient @ np.linalg.solve(hessian, gradient)))
+        if not offset < _LEFT:
             raise FitError(
-                f"the fit ended {left:.2g} standard deviations from its minimum, expected less than {_LEFT:g} for a "
+                f"the fit ended {offset:.2g} standard deviations from its minimum, expected less than {_LEFT:g} for a "
                 "posterior around it; fit with method lm, or more iterations"
             )
         deviation = np.sqrt(np.diag(covariance.matrix))
         low = np.maximum(np.asarray(space.low, np.float64)[own], covariance.centre - _FAR * deviation)
         high = np.minimum(np.asarray(space.high, np.float64)[own], covariance.centre + _FAR * deviation)
         share = np.clip((covariance.centre - low) / (high - low), 0.01, 0.99)
-        of_logit = np.minimum(deviation / (high - low) / (share * (1 - share)), _FLAT)
-        spread = np.linalg.cholesky(covariance.matrix / np.outer(deviation, deviation)) * of_logit[:, None]
-        middle, known = covariance.centre, (magnitude, curvature, np.log(share / (1 - share)), spread)
-        return cls(own, best, equations.loss, middle, low, high, covariance.freedom, *known)
+        logit_deviation = np.minimum(deviation / (high - low) / (share * (1 - share)), _FLAT)
+        spread = np.linalg.cholesky(covariance.matrix / np.outer(deviation, deviation)) * logit_deviation[:, None]
+        middle, scaling = covariance.centre, (magnitude, curvature, np.log(share / (1 - share)), spread)
+        return cls(own, best, equations.loss, middle, low, high, covariance.freedom, *scaling)
 
     def place(self, free: Float[Array, "own"]) -> Float[Array, "own"]:
         """Return the coordinates of a point."""
@@ -180,15 +164,15 @@ class _Target:
         return jnp.asarray(self.low + (self.high - self.low) * jax.nn.sigmoid(logit), free.dtype)
 
     def log_density(self, free: Float[Array, "own"], loss: Callable[[Array], Array]) -> Float[Array, ""]:
-        """Return the logarithm of the posterior up to a constant; `loss` is the objective as a function of a vector."""
+        """Return the logarithm of the posterior up to a constant; `loss` is the objective by vector."""
         logit = self.origin + jnp.asarray(self.spread, free.dtype) @ free
         moved = jnp.asarray(self.curvature, free.dtype) @ (self.place(free) - self.centre).astype(free.dtype)
-        asked = jnp.clip(self.best[self.own] + moved, self.low, self.high).astype(free.dtype)
-        excess = self.magnitude / 2 * (loss(jnp.asarray(self.best, free.dtype).at[self.own].set(asked)) - self.least)
+        clipped = jnp.clip(self.best[self.own] + moved, self.low, self.high).astype(free.dtype)
+        excess = self.magnitude / 2 * (loss(jnp.asarray(self.best, free.dtype).at[self.own].set(clipped)) - self.least)
         power = (self.freedom + len(self.own)) / 2
         tail = -power * jnp.log1p(jnp.maximum(2 * excess / self.freedom, -0.5))
-        within = jax.nn.log_sigmoid(logit) + jax.nn.log_sigmoid(-logit)  # derivative of the coordinates by the logit
-        return jnp.where(jnp.isfinite(excess), tail, -jnp.inf) + within.sum()
+        log_slope = jax.nn.log_sigmoid(logit) + jax.nn.log_sigmoid(-logit)  # derivative of the coordinates by the logit
+        return jnp.where(jnp.isfinite(excess), tail, -jnp.inf) + log_slope.sum()
 
 
 def adjust(
@@ -201,23 +185,23 @@ def adjust(
     """
     deviation = np.sqrt(np.diag(covariance))
     unit = np.outer(deviation, deviation)
-    correlation, curved = covariance / unit, hessian * unit
+    correlation, scaled_hessian = covariance / unit, hessian * unit
     if np.linalg.eigvalsh(correlation)[0] < _SINGULAR:
         raise FitError(
             f"the covariance of {len(deviation)} coordinates has no inverse, expected more stretches of data than "
             "coordinates; give longer recordings, or draw with sample"
         )
-    if np.linalg.eigvalsh(curved)[0] <= 0:
+    if np.linalg.eigvalsh(scaled_hessian)[0] <= 0:
         raise FitError(
             "the objective has no minimum at the result, expected a positive curvature; fit again, or with loss.robust"
             "=none"
         )
-    wanted = np.linalg.inv(correlation)
-    size = np.exp((np.linalg.slogdet(wanted)[1] - np.linalg.slogdet(curved)[1]) / len(deviation))
-    root = np.real(scipy.linalg.sqrtm(size * curved))
+    precision = np.linalg.inv(correlation)
+    magnitude = np.exp((np.linalg.slogdet(precision)[1] - np.linalg.slogdet(scaled_hessian)[1]) / len(deviation))
+    root = np.real(scipy.linalg.sqrtm(magnitude * scaled_hessian))
     inverse = np.linalg.inv(root)
-    symmetric = inverse @ np.real(scipy.linalg.sqrtm(root @ wanted @ root)) @ inverse
-    return float(size), symmetric * deviation[:, None] / deviation
+    symmetric = inverse @ np.real(scipy.linalg.sqrtm(root @ precision @ root)) @ inverse
+    return float(magnitude), symmetric * deviation[:, None] / deviation
 
 
 def _refuse(fitted: Fitted, covariance: Covariance) -> None:
@@ -255,32 +239,32 @@ def _sample(
             return target.log_density(free, loss)
 
         adaptation: Any = blackjax.window_adaptation(
-            blackjax.nuts, log_density, initial_step_size=_STEP, adaptation_info_fn=lambda *told: None
+            blackjax.nuts, log_density, initial_step_size=_STEP, adaptation_info_fn=lambda *info: None
         )
         warm, sampling = jax.random.split(key)
-        (state, found), _ = adaptation.run(warm, start, num_steps=WARMUP)
-        step = blackjax.nuts(log_density, **found).step
+        (state, tuned), _ = adaptation.run(warm, start, num_steps=WARMUP)
+        step = blackjax.nuts(log_density, **tuned).step
 
         def draw(state: Any, key: Array) -> tuple[Any, tuple[Array, Array]]:
-            state, told = step(key, state)
-            return state, (target.place(state.position), told.is_divergent)
+            state, info = step(key, state)
+            return state, (target.place(state.position), info.is_divergent)
 
         return jax.lax.scan(draw, state, jax.random.split(sampling, draws))[1]
 
     run = objective.compile(chain, forward=True)
     starts = np.random.default_rng(seed).standard_normal((CHAINS, len(target.own)))
-    begun = zip(jax.random.split(jax.random.key(seed), CHAINS), starts, strict=True)
-    parts = [run(*objective.spread((key, jnp.asarray(at, dtype))), objective.data) for key, at in begun]
-    places, diverged = (np.stack([np.asarray(part) for part in own]) for own in zip(*parts, strict=True))
-    return places.astype(np.float64), diverged
+    arguments = zip(jax.random.split(jax.random.key(seed), CHAINS), starts, strict=True)
+    parts = [run(*objective.spread((key, jnp.asarray(point, dtype))), objective.data) for key, point in arguments]
+    samples, diverged = (np.stack([np.asarray(part) for part in group]) for group in zip(*parts, strict=True))
+    return samples.astype(np.float64), diverged
 
 
 def _diagnose(found: Float[np.ndarray, "chains draws own"]) -> tuple[list[float], list[float]]:
     """Return R-hat and effective sample size of each coordinate."""
     from blackjax.diagnostics import ess_bulk, rhat
 
-    both = jax.jit(lambda draws: (rhat(draws), ess_bulk(draws)))(found)  # without compilation it takes seconds
-    return np.atleast_1d(both[0]).tolist(), np.atleast_1d(both[1]).tolist()
+    diagnostics = jax.jit(lambda draws: (rhat(draws), ess_bulk(draws)))(found)  # without compilation it takes seconds
+    return np.atleast_1d(diagnostics[0]).tolist(), np.atleast_1d(diagnostics[1]).tolist()
 
 
 def _pick(
@@ -291,8 +275,8 @@ def _pick(
 ) -> Float[np.ndarray, "count coordinates"]:
     """Return `count` of the draws, evenly from all chains."""
     vectors = np.repeat(np.asarray(best, np.float64)[None], count, axis=0)
-    every = found.reshape(-1, len(own))
-    vectors[:, own] = every[np.linspace(0, len(every) - 1, count).round().astype(int)]
+    draws = found.reshape(-1, len(own))
+    vectors[:, own] = draws[np.linspace(0, len(draws) - 1, count).round().astype(int)]
     return vectors
 
 
@@ -301,16 +285,16 @@ def _refuse_disagreement(chains: Chains, draws: int) -> None:
     worst = max(chains.rhat, key=lambda label: np.nan_to_num(chains.rhat[label], nan=np.inf))
     fewest = min(chains.effective, key=lambda label: np.nan_to_num(chains.effective[label], nan=-np.inf))
     rhat, effective = chains.rhat[worst], chains.effective[fewest]
-    told = (
+    message = (
         f"posterior of {draws} draws: R-hat up to {rhat:.3g} ({worst}), effective sample size down to {effective:.0f} "
         f"({fewest}), {chains.divergences} divergences"
     )
     if not (rhat < LARGEST_RHAT and effective > LEAST_EFFECTIVE):
         raise FitError(
-            f"{told}; expected R-hat below {LARGEST_RHAT:g} and a size above {LEAST_EFFECTIVE:g}: the chains do not "
+            f"{message}; expected R-hat below {LARGEST_RHAT:g} and a size above {LEAST_EFFECTIVE:g}: the chains do not "
             "agree; ask for more draws, or set what the data do not determine to known values"
         )
     if chains.divergences:
-        _log.warning("%s; draws near a divergence may be missing", told)
+        _log.warning("%s; draws near a divergence may be missing", message)
     else:
-        _log.info("%s", told)
+        _log.info("%s", message)

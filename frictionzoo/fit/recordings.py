@@ -8,13 +8,7 @@ from frictionzoo.models import FrictionModel
 
 
 class Recordings(NamedTuple):
-    """Bench, model and whole recordings of a fit, for methods that need more than segments.
-
-    Attributes:
-        bench: The test stand.
-        model: The friction model, ready for the data.
-        logs: The recordings, in the form that the bench accepts.
-    """
+    """Bench, model and logs of a fit, ready for each other, for methods that need more than segments."""
 
     bench: Bench
     model: FrictionModel

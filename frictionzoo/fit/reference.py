@@ -16,14 +16,10 @@ _ITERATIONS = 50  # a handful is usual
 
 
 def fit_reference(objective: Objective, folder: Path | None = None) -> Values:
-    """Minimise the objective from the initial values, to a relative change of 1e-6.
+    """Minimise the objective of a bench without friction; return physical values by owner and name.
 
-    Args:
-        objective: The objective of a bench without friction.
-        folder: Folder in which the minimum is cached for other jobs with the same objective; None for no cache.
-
-    Returns:
-        Physical values of all parameters by owner and name.
+    The fit starts at the initial values and ends at a relative change of 1e-6. `folder` caches the minimum for other
+    jobs with the same objective.
     """
 
     def fit() -> dict[str, np.ndarray]:

@@ -32,13 +32,7 @@ _BETTER = 1e-6  # share of the loss by which another minimum must be lower
 
 
 class End(NamedTuple):
-    """Result of one search.
-
-    Attributes:
-        name: Name of the starting point.
-        vector: The best coordinates.
-        loss: The objective there; infinite where it is not finite at the start.
-    """
+    """Result of one search: its starting point, the best coordinates, and the loss, infinite if the start has none."""
 
     name: str
     vector: Float[np.ndarray, "coordinates"]
@@ -95,8 +89,8 @@ class Several(Fit):
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`; evaluates the best vector."""
-        found = objective.beginning(state).compile_normal_equations()(np.asarray(vector, np.float64))
-        return Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss)), vector, state
+        equations = objective.beginning(state).compile_normal_equations()(np.asarray(vector, np.float64))
+        return Seen(equations.loss, 2 * equations.gradient, not np.isfinite(equations.loss)), vector, state
 
     def done(self, state: Any) -> Any:
         """See `Fit.done`."""
@@ -108,14 +102,7 @@ class Several(Fit):
 
 
 class Searches:
-    """All searches of an objective; each nested model is fitted once.
-
-    Args:
-        objective: The objective to minimise.
-        tries: Largest number of vectors that each search tries.
-        tolerance: As in `Several`.
-        kept: Which coordinates move; None for all.
-    """
+    """All searches of an objective; each nested model is fitted once. `kept` marks moving coordinates; None for all."""
 
     def __init__(
         self, objective: Objective, tries: int, tolerance: float, kept: Bool[np.ndarray, "coordinates"] | None = None
@@ -146,7 +133,7 @@ class Searches:
     def best(self, found: End) -> End:
         """Improve a result with the initial armature and with other delays."""
         recordings = self._objective.recordings
-        delays = [at for at, label in enumerate(self._space.labels) if label == "bench.delay" and self._kept[at]]
+        delays = [i for i, label in enumerate(self._space.labels) if label == "bench.delay" and self._kept[i]]
         if recordings is not None and delays:
             found = self._shift(found, delays[0], recordings.logs[0].timestep)
         _log.info("multi-start: %s gave the best result", found.name)
@@ -160,25 +147,25 @@ class Searches:
 
     def _evaluate(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
         """Evaluate the objective; the search for initial states begins at those of the last vector that was as good."""
-        found = self._objective.compile_normal_equations()(vector)
-        if is_near(found.loss, self._least):
-            self._objective = self._objective.beginning(found.states)
-        if found.loss < self._least:
-            self._least, self._states = found.loss, found.states
-        return found
+        equations = self._objective.compile_normal_equations()(vector)
+        if is_near(equations.loss, self._least):
+            self._objective = self._objective.beginning(equations.states)
+        if equations.loss < self._least:
+            self._least, self._states = equations.loss, equations.states
+        return equations
 
     def _look(self, part: Part) -> End:
         """Return the best result of a model from all its starting points."""
-        if (known := self._found.get(part.law.name)) is not None:
-            return known
+        if (end := self._found.get(part.law.name)) is not None:
+            return end
         initial = part.whole(np.clip(*part.box))
         ends = [self._descend(part, "the initial values", initial)]
         for inner in part.contained():
-            found, held = self._look(inner).vector, ~inner.spread.any(axis=1)
-            ends.append(self._descend(part, f"the fit of {inner.law.name}", found))
-            beside = np.where(held, initial, found)
-            if (beside != found).any():
-                ends.append(self._descend(part, f"the fit of {inner.law.name} with other initial values", beside))
+            nested, fixed = self._look(inner).vector, ~inner.spread.any(axis=1)
+            ends.append(self._descend(part, f"the fit of {inner.law.name}", nested))
+            combined = np.where(fixed, initial, nested)
+            if (combined != nested).any():
+                ends.append(self._descend(part, f"the fit of {inner.law.name} with other initial values", combined))
         best = _least(ends)
         for name, factors in part.law.valleys.items():
             for factor in factors if name in part.places else ():
@@ -194,38 +181,37 @@ class Searches:
         most: int = MOST_TRIES,
         enough: Callable[[np.ndarray], bool] = lambda vector: False,
     ) -> End:
-        """Search in the coordinates of this model."""
         _, low, high = part.box
         box = Box(part.own(vector), low, high)
-        own, loss = descend(
+        coordinates, loss = descend(
             part.restrict(self._evaluate),
             box,
             min(most, self._tries),
             self._tolerance,
-            lambda own: enough(part.whole(own)),
+            lambda coordinates: enough(part.whole(coordinates)),
             self._patience,
         )
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
-        return End(name, part.whole(own), loss)
+        return End(name, part.whole(coordinates), loss)
 
     def _shift(self, best: End, at: int, interval: float) -> End:
         """Improve a result with delays up to a sample interval shorter or longer, in several rounds."""
-        whole, kept = self._moving(best.vector), self._kept
+        part, kept = self._moving(best.vector), self._kept
         unit = interval / float(self._space.params["bench.delay"].scale)
         low, high = (float(side[at]) for side in (self._space.low, self._space.high))
-        best = self._restore_inertia(best, whole, at, unit)
+        best = self._restore_inertia(best, part, at, unit)
         bests: list[float] = []
         for _ in range(_ROUNDS):
-            along = np.zeros(len(kept))
-            along[kept] = _along(self._evaluate(best.vector).hessian[np.ix_(kept, kept)], int(kept[:at].sum()))
-            ends, middle = [best], best.vector[at]
-            bests.append(middle)
+            direction = np.zeros(len(kept))
+            direction[kept] = _along(self._evaluate(best.vector).hessian[np.ix_(kept, kept)], int(kept[:at].sum()))
+            ends, delay = [best], best.vector[at]
+            bests.append(delay)
             leads_back = _is_near(bests, at, unit)
             for shift in _SHIFTS:
-                by = np.clip(middle + shift * unit, low, high) - middle
-                if not leads_back(shifted := best.vector + np.clip(by * along, -_FAR, _FAR)):
-                    name = f"a delay {by / unit:+.2g} sample intervals from the previous best"
-                    ends.append(self._descend(whole, name, shifted, _SHORT, leads_back))
+                change = np.clip(delay + shift * unit, low, high) - delay
+                if not leads_back(shifted := best.vector + np.clip(change * direction, -_FAR, _FAR)):
+                    name = f"a delay {change / unit:+.2g} sample intervals from the previous best"
+                    ends.append(self._descend(part, name, shifted, _SHORT, leads_back))
             if (least := _least(ends)) is best:
                 break
             best = least
@@ -240,11 +226,11 @@ class Searches:
             return is_as_late(vector) and bool((np.abs(vector - best.vector)[inertia] < _ALIKE).all())
 
         for share in _SHARES:
-            begun = np.where(inertia & self._kept, self._space.start, best.vector)
-            begun[at] = share * best.vector[at]
-            if not leads_back(begun):
+            start = np.where(inertia & self._kept, self._space.start, best.vector)
+            start[at] = share * best.vector[at]
+            if not leads_back(start):
                 name = f"the previous best with the initial armature and {share:g} of the delay"
-                ends.append(self._descend(whole, name, begun, _SHORT, leads_back))
+                ends.append(self._descend(whole, name, start, _SHORT, leads_back))
         return _least(ends)
 
 
@@ -255,15 +241,12 @@ def _least(ends: Sequence[End]) -> End:
 
 
 def _is_near(places: Sequence[float], at: int, unit: float) -> Callable[[np.ndarray], bool]:
-    """Return a test of whether a vector's delay is near one of these and in the same sample interval.
-
-    Such delays lead to the same minimum.
-    """
-    late = np.asarray(places) / unit
+    """Return a test for delays that lead to the minimum of one of these: near it and in its sample interval."""
+    delays = np.asarray(places) / unit
 
     def is_near(vector: np.ndarray) -> bool:
-        own = vector[at] / unit
-        return bool(((np.abs(own - late) < _NEAR) & (np.floor(own) == np.floor(late))).any())
+        delay = vector[at] / unit
+        return bool(((np.abs(delay - delays) < _NEAR) & (np.floor(delay) == np.floor(delays))).any())
 
     return is_near
 
@@ -272,8 +255,8 @@ def _along(hessian: Float[np.ndarray, "coordinates coordinates"], at: int) -> Fl
     """Return how all coordinates move, for the least loss, when one of them moves by 1."""
     others = np.delete(np.arange(len(hessian)), at)
     scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
-    curved = hessian / np.outer(scale, scale)
-    along = np.ones(len(hessian))
-    follow = np.linalg.lstsq(curved[np.ix_(others, others)], curved[others, at], rcond=_FLAT)[0]
-    along[others] = -follow * scale[at] / scale[others]
-    return along
+    scaled = hessian / np.outer(scale, scale)
+    direction = np.ones(len(hessian))
+    response = np.linalg.lstsq(scaled[np.ix_(others, others)], scaled[others, at], rcond=_FLAT)[0]
+    direction[others] = -response * scale[at] / scale[others]
+    return direction

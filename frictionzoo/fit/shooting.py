@@ -17,9 +17,9 @@ from frictionzoo.simulation.linear import solve_spd
 _MOST_LOOKS = 6  # trial states; few, because rollouts are nearly linear in them except where a joint starts or stops
 _ALONE = 1e-12  # predicted gain of the next step, as a share of the sum of squares, that ends a search outside a fit
 _FIRST, _LATER, _APART = 1e-2, 1e-4, 0.1
-"""Shares at which a search within a fit ends. The fit subtracts the predicted gain of the next step from the sum of
-squares, so its searches may end earlier: at the first share of the sum at the fit's first vector, at the second share
-of the sum at later vectors, or, if larger, at the third share of the change of the sum between two vectors."""
+"""Shares that end a search within a fit, which subtracts the predicted gain of the next step from the sum of squares
+and may therefore stop early: the first of the sum at the fit's first vector; at later vectors the second of the sum or,
+if larger, the third of the change of the sum between two vectors."""
 _DAMPING, _LEAST_DAMPING = 1e-2, 1e-2  # of Levenberg-Marquardt, initial and at least after a failed step
 
 
@@ -27,7 +27,6 @@ class Local(NamedTuple):
     """Sum of squares of each segment near its initial state, by branch and segment.
 
     Attributes:
-        square: The sum of squares.
         gradient: Half its gradient with respect to the segment's initial state, J' r.
         hessian: J' J, with the curvature `bend`.
         gap: Weighted defects between the segment's end and the next initial state, in the order of the states.
@@ -77,11 +76,9 @@ class Search(NamedTuple):
         state: The best states so far.
         local: The sum of squares at the best states.
         damping: Levenberg-Marquardt damping of each segment.
-        looks: Number of states tried.
         other: The sum of squares at the fit's previous vector; infinite at its first vector, NaN outside a fit.
         gain: Predicted decrease of the sum of squares from the last trial to the next.
         settled: Whether the gain is small enough to end the search.
-        ended: Whether the search has ended.
     """
 
     trial: Float[Array, "branches segments state"]
@@ -106,11 +103,9 @@ class Equations(NamedTuple):
     """Sum of squares near a vector and initial states, by branch.
 
     Attributes:
-        loss: The sum.
         gradient: Half its gradient with respect to each tangent.
         hessian: J' J of the tangents.
-        local: The part of the initial states; None where they are not estimated.
-        mixed: The mixed second derivatives; None likewise.
+        local: The part of the initial states; None, like `mixed`, where they are not estimated.
     """
 
     loss: Float[Any, ""]
@@ -123,19 +118,18 @@ class Equations(NamedTuple):
 class Shooting(NamedTuple):
     """Estimator of the initial states of all segments.
 
-    A segment's residuals depend on its initial state. Where segments are linked, its last residuals are the weighted
-    defects between its end and the next initial state. Short segments then act as one long rollout that cannot
-    diverge, and each initial state is coupled directly to its neighbours only.
+    Where segments are linked, a segment's last residuals are the weighted defects between its end and the next initial
+    state. Short segments then act as one long rollout that cannot diverge, and each initial state is coupled directly
+    to its neighbours only.
 
-    Source: H. Bock, K. Plitt, "A multiple shooting algorithm for direct solution of optimal control problems", 1984;
-    Y. Tremolet, "Model-error estimation in 4D-Var", 2007, for weighted defects, which act like process noise, in place
-    of equality constraints.
+    Source: H. Bock, K. Plitt, "A multiple shooting algorithm for direct solution of optimal control problems", 1984; Y.
+    Tremolet, "Model-error estimation in 4D-Var", 2007, for weighted defects, which act like process noise, in place of
+    equality constraints.
 
     Attributes:
         residuals: Function of values, initial states, next initial states and a block that returns the block's weighted
             errors of position and velocity, with the defects last where segments are linked.
         bent: Function that returns `bend` of residuals by branch.
-        sparsity: Branches of the robot.
         root: Root of the weight of each joint's defect in position and velocity; None for independent segments.
     """
 
@@ -155,8 +149,8 @@ class Shooting(NamedTuple):
             lambda shape: jnp.full(shape.shape, jnp.inf, shape.dtype),
             jax.eval_shape(lambda: self._look(values, begun, data)),
         )
-        found = jax.lax.while_loop(lambda search: ~search.ended, improve, Search.begin(begun, unknown))
-        return self.states_together(found.state, data)
+        final = jax.lax.while_loop(lambda search: ~search.ended, improve, Search.begin(begun, unknown))
+        return self.states_together(final.state, data)
 
     def by_branch(self, states: Any) -> Float[Array, "branches segments state"]:
         """Return states of shape (blocks, segments, twice nv) by branch."""
@@ -164,18 +158,15 @@ class Shooting(NamedTuple):
 
     def predict(self, begun: Begun, vector: Float[Array, "coordinates"]) -> Float[Array, "branches segments state"]:
         """Extrapolate the best states to another vector by their slopes."""
-        moved = jnp.append(vector - begun.vector, jnp.zeros(1, vector.dtype))[self.sparsity.place]
-        return self.by_branch(begun.states) + jnp.einsum("bsit,bt->bsi", begun.slopes, moved)
+        change = jnp.append(vector - begun.vector, jnp.zeros(1, vector.dtype))[self.sparsity.place]
+        return self.by_branch(begun.states) + jnp.einsum("bsit,bt->bsi", begun.slopes, change)
 
     def states_together(self, state: Array, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
         """Return states by branch in the order of `Blocks.begun`."""
         return self.sparsity.states_together(state).reshape(data.begun.shape)
 
     def advance(self, search: "Search", tried: Local, data: Blocks) -> "Search":
-        """Advance the search by one Levenberg-Marquardt step, given the sum of squares at its trial states.
-
-        A chain of linked segments accepts the trial where this lowers the sum of the chain.
-        """
+        """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial if its sum decreases."""
         chain = self._chain(data)
         better = _sum_by(chain, tried.square) < _sum_by(chain, search.local.square)
 
@@ -184,15 +175,15 @@ class Shooting(NamedTuple):
 
         state, local = choose(search.trial, search.state), jax.tree.map(choose, tried, search.local)
         damping = jnp.where(better, 0.1 * search.damping, jnp.maximum(10 * search.damping, _LEAST_DAMPING))
-        diagonal, beside, gradient = self._join(local, data)
+        diagonal, coupling, gradient = self._join(local, data)
         unused = self._unused(data.weight.ravel())
         damped = diagonal * (1 + damping[:, :, None, None] * jnp.eye(diagonal.shape[-1])) + unused
-        step = self._solve(damped, beside, gradient[..., None])[..., 0]
+        step = self._solve(damped, coupling, gradient[..., None])[..., 0]
         gain, looks = jnp.sum(step * gradient) + jnp.sum(tried.square - local.square), search.looks + 1
         total, other = jnp.sum(local.square), search.other
-        later = jnp.maximum(_LATER * total, _APART * jnp.abs(total - gain - other))
-        enough = jnp.where(jnp.isfinite(other), later, jnp.where(jnp.isnan(other), _ALONE, _FIRST) * total)
-        settled = gain <= enough
+        later_threshold = jnp.maximum(_LATER * total, _APART * jnp.abs(total - gain - other))
+        threshold = jnp.where(jnp.isfinite(other), later_threshold, jnp.where(jnp.isnan(other), _ALONE, _FIRST) * total)
+        settled = gain <= threshold
         ended = settled | (looks >= _MOST_LOOKS) | ((looks == 1) & ~jnp.all(jnp.isfinite(tried.square)))
         return Search(state - step, state, local, damping, looks, other, gain, settled, ended)
 
@@ -220,10 +211,10 @@ class Shooting(NamedTuple):
         """Eliminate the initial states from the normal equations (Schur complement).
 
         Returns:
-            The amounts to subtract from each segment's gradient and from the Hessian over the tangents, and the
-            derivative of the best states with respect to each tangent.
+            Amounts to subtract from each segment's gradient and from the Hessian, and slopes of the best states by
+            tangent.
         """
-        diagonal, beside, gradient = self._join(local, data)
+        diagonal, coupling, gradient = self._join(local, data)
         # Where velocity decays within a sample, initial velocity and position are indistinguishable: the equations are
         # singular up to rounding, and the correction would be rounding error. This regularisation changes nothing else.
         identity = jnp.eye(diagonal.shape[-1], dtype=diagonal.dtype)
@@ -232,14 +223,14 @@ class Shooting(NamedTuple):
         if self.root is not None:
             before, root = self._before(data), self._by_state(right.dtype)
             right = right - before[:, None, None] * root[..., None] * jnp.roll(mixed.gap, 1, axis=1)
-        solved = self._solve(diagonal + self._unused(data.weight.ravel()), beside, right)
-        taken = jnp.einsum("bsit,bsi->bst", solved, gradient, precision="highest")
-        return taken, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest"), -solved
+        solved = self._solve(diagonal + self._unused(data.weight.ravel()), coupling, right)
+        gradient_shift = jnp.einsum("bsit,bsi->bst", solved, gradient, precision="highest")
+        return gradient_shift, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest"), -solved
 
     def _look(self, values: Values, state: Float[Array, "branches segments state"], data: Blocks) -> Local:
         """Return the sum of squares of all blocks at these states."""
-        whole = self.states_together(state, data)
-        units = jnp.asarray(self.sparsity.states, whole.dtype)[:, None, :] * jnp.ones_like(whole[0, :, :1])
+        states = self.states_together(state, data)
+        units = jnp.asarray(self.sparsity.states, states.dtype)[:, None, :] * jnp.ones_like(states[0, :, :1])
 
         def of_block(part: tuple[Blocks, Array, Array]) -> Local:
             block, own, following = part
@@ -250,7 +241,7 @@ class Shooting(NamedTuple):
             slope = jax.vmap(lambda unit: jax.jvp(errors, (own,), (unit,)), out_axes=(None, 0))
             return self.local(*slope(units))
 
-        return jax.tree.map(join_blocks, jax.lax.map(of_block, (data, whole, follow(whole))))
+        return jax.tree.map(join_blocks, jax.lax.map(of_block, (data, states, follow(states))))
 
     def _join(self, local: Local, data: Blocks) -> tuple[Array, Array, Array]:
         """Return the states' equations: diagonal blocks, the blocks right of them, and half the gradient."""
@@ -258,8 +249,8 @@ class Shooting(NamedTuple):
             return local.hessian, local.gap_slopes, local.gradient
         before, root = self._before(data)[:, None], self._by_state(local.gradient.dtype)
         diagonal = local.hessian + before[:, None] * jax.vmap(jax.vmap(jnp.diag))(jnp.square(root))
-        beside = -data.linked.ravel()[:, None, None] * local.gap_slopes * root[:, :, None]
-        return diagonal, beside, local.gradient - before * root * jnp.roll(local.gap, 1, axis=1)
+        coupling = -data.linked.ravel()[:, None, None] * local.gap_slopes * root[:, :, None]
+        return diagonal, coupling, local.gradient - before * root * jnp.roll(local.gap, 1, axis=1)
 
     def _solve(self, diagonal: Array, beside: Array, right: Float[Array, "branches segments state many"]) -> Array:
         if self.root is not None:
@@ -278,11 +269,11 @@ class Shooting(NamedTuple):
 
     def _chain(self, data: Blocks) -> Array:
         """Return for each segment the number of its chain of linked segments."""
-        apart = jnp.arange(data.weight.size)
-        return apart if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
+        numbers = jnp.arange(data.weight.size)
+        return numbers if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
 
     def _unused(self, weight: Float[Array, "segments"]) -> Float[Array, "branches segments state state"]:
-        """Return the diagonal that makes the equations of unused states and segments of weight 0 solvable."""
+        """Return the diagonal that makes the equations of unused states and segments solvable."""
         identity = jnp.eye(len(self.sparsity.states)) * (1 - weight[:, None, None])
         return self.sparsity.unit_states(weight.dtype)[:, None] + identity
 
@@ -306,7 +297,6 @@ def join_equations(parts: Sequence[Equations]) -> Equations:
 
 
 def _sum_by(chain: Array, squares: Float[Array, "branches segments"]) -> Float[Array, "branches segments"]:
-    """Return for each segment the sum over its chain."""
     return jnp.zeros_like(squares).at[:, chain].add(squares)[:, chain]
 
 
@@ -317,24 +307,21 @@ def solve_chain(
 ) -> Float[Array, "segments state many"]:
     """Solve a symmetric positive definite block-tridiagonal system, by one forward and one backward pass.
 
-    Args:
-        diagonal: Diagonal blocks.
-        beside: Blocks right of them; the last one is ignored.
-        right: Right-hand sides.
+    `beside` holds the blocks right of the diagonal; the last one is ignored.
     """
 
     def ahead(carry: tuple[Array, Array, Array], row: tuple[Array, Array, Array]) -> tuple[tuple, tuple]:
-        pull, above, before = carry
-        own, next_to, side = row
-        factor = jnp.linalg.cholesky(own - jnp.matmul(pull.T, above, precision="highest"))
-        side = side - jnp.matmul(pull.T, before, precision="highest")
-        pull = cho_solve((factor, True), next_to)
-        return (pull, next_to, side), (pull, cho_solve((factor, True), side))
+        coupling, last_upper, last_target = carry
+        block, upper, target = row
+        factor = jnp.linalg.cholesky(block - jnp.matmul(coupling.T, last_upper, precision="highest"))
+        target = target - jnp.matmul(coupling.T, last_target, precision="highest")
+        coupling = cho_solve((factor, True), upper)
+        return (coupling, upper, target), (coupling, cho_solve((factor, True), target))
 
     def back(following: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-        pull, alone = row
-        found = alone - jnp.matmul(pull, following, precision="highest")
-        return found, found
+        coupling, solved = row
+        solution = solved - jnp.matmul(coupling, following, precision="highest")
+        return solution, solution
 
     empty = jnp.zeros_like(diagonal[0])
     ends = beside.at[-1].set(0.0)

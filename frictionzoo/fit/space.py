@@ -47,7 +47,6 @@ class Space:
     none.
 
     Attributes:
-        bench: The test stand.
         params: The physical parameters identified in any joint, by full name such as `bench.armature`.
         places: Relation of their coordinates to the joints, by the same names.
         names: Names of everything identified: physical parameters, then a network's weights.
@@ -61,7 +60,6 @@ class Space:
     Args:
         bench: The test stand; its parameters come first.
         model: The friction model; its present values are the initial ones.
-        dtype: JAX type of the coordinates.
 
     Raises:
         ConfigError: Joints that share a value differ in its initial value, its bounds, or in whether it is identified.
@@ -84,9 +82,9 @@ class Space:
         self.names: list[str] = [*self.params, *self.weights]
         coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
         self.labels: list[str] = [
-            name if np.sum(place.group == own) == len(place.members) else f"{name}/{place.names[own]}"
+            name if np.sum(place.group == number) == len(place.members) else f"{name}/{place.names[number]}"
             for name, place in self.places.items()
-            for own in range(len(place.names))
+            for number in range(len(place.names))
         ]
         start, self._unravel = ravel_pytree(coordinates)
         self.start: Array = jnp.asarray(start, dtype)  # without coordinates, ravel_pytree returns float32
@@ -108,25 +106,19 @@ class Space:
         return values
 
     def identified(self, vector: Float[Array, "coordinates"]) -> dict[str, Float[Array, "nv"]]:
-        """Return the physical values of the identified parameters by full name, without a network's weights.
-
-        NaN where a joint does not have the parameter.
-        """
-        values, found = self.values(vector), {}
+        """Return values of identified physical parameters by full name; NaN where a joint does not have one."""
+        values, by_name = self.values(vector), {}
         for name, place in self.places.items():
-            own = self._get(values, name)
-            whole = len(place.members) == self._nv
-            found[name] = own if whole else jnp.full(self._nv, jnp.nan, own.dtype).at[place.members].set(own)
-        return found
+            value = self._get(values, name)
+            complete = len(place.members) == self._nv
+            by_name[name] = value if complete else jnp.full(self._nv, jnp.nan, value.dtype).at[place.members].set(value)
+        return by_name
 
     def pick(self, rows: Mapping[str, Shaped[np.ndarray, "nv ..."]]) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return from arrays with one row per joint, by full name, the row of each coordinate, by its label.
-
-        Coordinates without an array are left out.
-        """
-        found = [(name, joint) for name, place in self.places.items() for joint in place.first.tolist()]
+        """Return the row of each coordinate by its label, from arrays with a row per joint, by full name, if given."""
+        joints = [(name, joint) for name, place in self.places.items() for joint in place.first.tolist()]
         return {
-            label: rows[name][joint] for label, (name, joint) in zip(self.labels, found, strict=True) if name in rows
+            label: rows[name][joint] for label, (name, joint) in zip(self.labels, joints, strict=True) if name in rows
         }
 
     def split(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "own ..."]]:
@@ -144,34 +136,34 @@ class Space:
         return spread
 
     def physical(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "nv ..."]]:
-        """Return physical values by full name, in float64, of an array with one row per coordinate; NaN where known.
+        """Return physical values by full name, in float64; NaN where known.
 
         They are clipped to the bounds, because the exponential of a bound's logarithm can round beyond the bound.
         """
-        found = {}
+        by_name = {}
         for name, rows in self.split(np.asarray(vector, np.float64)).items():
             values = self.spread(name, self.params[name].from_coordinate(rows, np))
             low, high = (self.params[name].each(side, self._nv) for side in ("low", "high"))
-            beside = (slice(None), *[None] * (values.ndim - 1))
-            found[name] = np.clip(values, low[beside], high[beside])
-        return found
+            column = (slice(None), *[None] * (values.ndim - 1))
+            by_name[name] = np.clip(values, low[column], high[column])
+        return by_name
 
     def limits(self) -> dict[str, str]:
-        """Return unit and bounds of each physical parameter in words, by full name; the widest bounds of all joints."""
-        said = {}
+        """Return unit and widest bounds of each physical parameter in words, by full name."""
+        limits = {}
         for name, param in self.params.items():
             joints = self.places[name].joints
             low, high = (param.each(side, self._nv)[joints] for side in ("low", "high"))
             unit = UNITS[self.bench.joint_type][param.dimension]
-            said[name] = f"{'' if unit == '1' else f'{unit}, '}{low.min():g} to {high.max():g}"
-        return said
+            limits[name] = f"{'' if unit == '1' else f'{unit}, '}{low.min():g} to {high.max():g}"
+        return limits
 
     def at_bound(self, vector: Float[np.ndarray, "coordinates"]) -> Bool[np.ndarray, "own"]:
         """Return whether each coordinate of a physical parameter has reached a bound."""
         reached = [np.zeros(0, bool)]
         for name, value in self.physical(vector).items():
-            known = self.params[name].each("init", self._nv)
-            value = np.where(np.isnan(value), known, value)
+            initial = self.params[name].each("init", self._nv)
+            value = np.where(np.isnan(value), initial, value)
             reached.append(np.broadcast_to(self.params[name].is_at_bound(value), self._nv)[self.places[name].first])
         return np.concatenate(reached)
 
@@ -231,14 +223,14 @@ def _place(name: str, param: Param, bench: Bench, values: Float[np.ndarray, "nv"
     numbers: dict[str, int] = {}
     group = np.array([numbers.setdefault(groups[joint], len(numbers)) for joint in free.tolist()], int)
     first = free[[int(np.argmax(group == number)) for number in range(len(numbers))]].astype(int)
-    alike = {**{what: param.each(what, nv) for what in ("low", "high", "identify")}, "init": param.spread(values, nv)}
+    alike = {**{key: param.each(key, nv) for key in ("low", "high", "identify")}, "init": param.spread(values, nv)}
     for joint in members:
-        of = groups[joint]
-        other = next(first for first in members if groups[first] == of)
-        for what, given in alike.items():
-            if given[joint] != given[other]:
-                came = f"{given[other]:g} of {bench.joints[other]} and {given[joint]:g} of {bench.joints[joint]}"
+        tie = groups[joint]
+        other = next(first for first in members if groups[first] == tie)
+        for key, rows in alike.items():
+            if rows[joint] != rows[other]:
+                clash = f"{rows[other]:g} of {bench.joints[other]} and {rows[joint]:g} of {bench.joints[joint]}"
                 raise ConfigError(
-                    f"{name}.{what}: {came}, which share a value ({of}); expected the same, or another tie"
+                    f"{name}.{key}: {clash}, which share a value ({tie}); expected the same, or another tie"
                 )
     return Place(np.array(members), free, group, first, tuple(numbers))

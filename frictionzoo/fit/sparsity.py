@@ -1,7 +1,6 @@
-"""Sparse derivatives of robots with branches.
+"""Sparse derivatives of robots with branches: coordinates of different legs share one tangent.
 
-A coordinate of one leg does not move the other legs. Coordinates of different legs therefore share one tangent. A
-quadruped needs as many tangents as one leg.
+A coordinate of one leg does not move the other legs, so a quadruped needs as many tangents as one leg.
 
 Source: A. Curtis, M. Powell, J. Reid, "On the Estimation of Sparse Jacobian Matrices", 1974.
 """
@@ -37,35 +36,35 @@ class Sparsity(NamedTuple):
     @classmethod
     def of(cls, space: Space, branches: Sequence[int]) -> "Sparsity":
         """Return the sparsity of these coordinates, given the branch number of each joint."""
-        count, own = max(branches) + 1, np.asarray(branches)
-        members = [np.flatnonzero(own == number) for number in range(count)]
-        most = max(map(len, members))
-        joints = np.array([np.resize(member, most) for member in members])
-        mine = np.array([np.arange(most) < len(member) for member in members], float)
-        acts = _list_branches(space, own)
+        count, numbers = max(branches) + 1, np.asarray(branches)
+        members = [np.flatnonzero(numbers == number) for number in range(count)]
+        size = max(map(len, members))
+        joints = np.array([np.resize(member, size) for member in members])
+        mine = np.array([np.arange(size) < len(member) for member in members], float)
+        acts = _list_branches(space, numbers)
         colors = _color(acts)
         seeds = np.zeros((max(colors, default=-1) + 1, len(acts)))
         place = np.full((count, len(seeds)), len(acts))
-        for coordinate, (color, where) in enumerate(zip(colors, acts, strict=True)):
+        for coordinate, (color, acted) in enumerate(zip(colors, acts, strict=True)):
             seeds[color, coordinate] = 1.0
-            place[sorted(where), color] = coordinate
-        halves = np.zeros((most, len(own)))
-        for row, real in zip(joints, mine, strict=True):
-            halves[np.arange(most)[real > 0], row[real > 0]] = 1.0
+            place[sorted(acted), color] = coordinate
+        halves = np.zeros((size, len(numbers)))
+        for row, used in zip(joints, mine, strict=True):
+            halves[np.arange(size)[used > 0], row[used > 0]] = 1.0
         return cls(joints, mine, seeds, place, np.kron(np.eye(2), halves))
 
     def by_branch(self, errors: Float[Array, "segments time nv kinds"]) -> Float[Array, "branches segments terms"]:
         """Return the errors of each branch's joints; 0 where a row is only filled."""
         if len(self.joints) == 1:
             return errors.reshape(1, len(errors), -1)
-        own = jnp.moveaxis(errors[:, :, self.joints] * jnp.asarray(self.mine, errors.dtype)[..., None], 2, 0)
-        return own.reshape(*own.shape[:2], -1)
+        rows = jnp.moveaxis(errors[:, :, self.joints] * jnp.asarray(self.mine, errors.dtype)[..., None], 2, 0)
+        return rows.reshape(*rows.shape[:2], -1)
 
     def states_by_branch(self, state: Float[Array, "segments twice_nv"]) -> Float[Array, "branches segments state"]:
         """Return position and velocity of each branch; 0 where a row is only filled."""
         halves = jnp.split(state, 2, axis=1)
-        own = [jnp.swapaxes(half[:, self.joints] * jnp.asarray(self.mine, state.dtype), 0, 1) for half in halves]
-        return jnp.concatenate(own, axis=2)
+        parts = [jnp.swapaxes(half[:, self.joints] * jnp.asarray(self.mine, state.dtype), 0, 1) for half in halves]
+        return jnp.concatenate(parts, axis=2)
 
     def states_together(self, own: Float[Array, "branches segments state"]) -> Float[Array, "segments twice_nv"]:
         """Return states by branch in the order of the joints."""
@@ -77,14 +76,14 @@ class Sparsity(NamedTuple):
     def gradient(self, own: Float[Array, "branches segments tangents"]) -> Float[Array, "segments coordinates"]:
         """Convert the gradient from tangents by branch to all coordinates, one row per segment."""
         count = self.seeds.shape[1]
-        whole = jnp.zeros((own.shape[1], count + 1), own.dtype)
-        return whole.at[:, self.place].add(jnp.swapaxes(own, 0, 1))[:, :count]
+        total = jnp.zeros((own.shape[1], count + 1), own.dtype)
+        return total.at[:, self.place].add(jnp.swapaxes(own, 0, 1))[:, :count]
 
     def hessian(self, own: Float[Array, "branches tangents tangents"]) -> Float[Array, "coordinates coordinates"]:
         """Convert the Hessian from tangents by branch to all coordinates."""
         count = self.seeds.shape[1]
-        whole = jnp.zeros((count + 1, count + 1), own.dtype)
-        return whole.at[self.place[:, :, None], self.place[:, None, :]].add(own)[:count, :count]
+        total = jnp.zeros((count + 1, count + 1), own.dtype)
+        return total.at[self.place[:, :, None], self.place[:, None, :]].add(own)[:count, :count]
 
     def unit_states(self, dtype: Any) -> Float[Array, "branches state state"]:
         """Return matrices with 1 on the diagonal where an entry of a branch's state only fills its row."""
@@ -92,7 +91,6 @@ class Sparsity(NamedTuple):
 
 
 def _list_branches(space: Space, own: Int[np.ndarray, "nv"]) -> list[set[int]]:
-    """Return the branches on which each coordinate acts; a network's weights act on all."""
     acts = [
         set(own[place.joints[place.group == number]].tolist())
         for place in space.places.values()
@@ -104,11 +102,11 @@ def _list_branches(space: Space, own: Int[np.ndarray, "nv"]) -> list[set[int]]:
 
 def _color(acts: Sequence[set[int]]) -> list[int]:
     """Return the tangent number of each coordinate; coordinates that act on the same branch get different ones."""
-    colors, taken = [0] * len(acts), []
-    for coordinate in sorted(range(len(acts)), key=lambda one: -len(acts[one])):
-        color = next((number for number, used in enumerate(taken) if not used & acts[coordinate]), len(taken))
-        if color == len(taken):
-            taken.append(set())
-        taken[color] |= acts[coordinate]
+    colors, covered = [0] * len(acts), []
+    for coordinate in sorted(range(len(acts)), key=lambda index: -len(acts[index])):
+        color = next((number for number, used in enumerate(covered) if not used & acts[coordinate]), len(covered))
+        if color == len(covered):
+            covered.append(set())
+        covered[color] |= acts[coordinate]
         colors[coordinate] = color
     return colors

@@ -24,7 +24,7 @@ def begin_where(start: Fit, objective: Objective) -> Objective:
     if bool(progress.broken) or not np.isfinite(np.asarray(progress.best)).all():
         raise FitError(f"fit.start: {start.name} ends without a finite value, expected a finite start; set start=null")
     moved = objective.starting(np.asarray(progress.best))
-    found = moved.space.identified(moved.space.start).items()
-    told = (f"{name} {' '.join(f'{value:.3g}' for value in values)}" for name, values in found)
-    _log.info("the fit starts from the result of %s: %s", start.name, ", ".join(told))
+    identified = moved.space.identified(moved.space.start).items()
+    entries = (f"{name} {' '.join(f'{value:.3g}' for value in values)}" for name, values in identified)
+    _log.info("the fit starts from the result of %s: %s", start.name, ", ".join(entries))
     return moved

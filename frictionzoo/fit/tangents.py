@@ -11,12 +11,7 @@ from frictionzoo.fit.sparsity import Sparsity
 
 
 class Seen(NamedTuple):
-    """Residuals at one vector, and their linearisation.
-
-    Attributes:
-        residuals: Residuals by branch.
-        along: Linear function of directions with its stored numbers, or the derivatives themselves.
-    """
+    """Residuals by branch at one vector, and their linear function of directions, or the derivatives themselves."""
 
     residuals: Float[Array, "branches segments terms"]
     along: Any
@@ -26,11 +21,10 @@ class Tangents(NamedTuple):
     """Directions in which residuals are differentiated: coordinates, and estimated initial states.
 
     Where the derivative of a step consists of few numbers, the rollout stores them, and a second program computes all
-    tangents from them. This is faster for two reasons: the rollout, with many shared terms, compiles without fusion,
-    and the tangents, which share almost none, compile with it.
+    tangents from them. This is faster: the rollout, with many shared terms, compiles without fusion, and the tangents,
+    which share almost none, with it.
 
     Attributes:
-        sparsity: Branches of the robot.
         refine: Whether initial states are estimated.
         apart: Whether the rollout stores the numbers of its derivative.
     """
@@ -40,29 +34,23 @@ class Tangents(NamedTuple):
     apart: bool
 
     def look(self, residuals: Callable[..., Array], vector: Array, own: Float[Array, "segments twice_nv"]) -> Seen:
-        """Return residuals and their linearisation; the first program, with the rollout.
-
-        Args:
-            residuals: Function of a vector and initial states that returns residuals.
-            vector: The vector.
-            own: The initial states.
-        """
-        given = (vector, own) if self.refine else (vector,)
+        """Return residuals and their linearisation; the first program, with the rollout."""
+        arguments = (vector, own) if self.refine else (vector,)
         function = residuals if self.refine else lambda vector: residuals(vector, own)
         if self.apart:
-            return Seen(*jax.linearize(function, *given))
-        slope = jax.vmap(lambda *along: jax.jvp(function, given, along), out_axes=(None, 0))
+            return Seen(*jax.linearize(function, *arguments))
+        slope = jax.vmap(lambda *along: jax.jvp(function, arguments, along), out_axes=(None, 0))
         return Seen(*slope(*self._directions(vector.dtype, len(own))))
 
     def slopes(
         self, seen: Seen
     ) -> tuple[Float[Array, "tangents branches segments terms"], Float[Array, "state branches segments terms"]]:
         """Return derivatives by the coordinates' tangents and by initial states; the second program."""
-        found = seen.along
+        derivatives = seen.along
         if self.apart:
-            found = jax.vmap(found)(*self._directions(seen.residuals.dtype, seen.residuals.shape[1]))
+            derivatives = jax.vmap(derivatives)(*self._directions(seen.residuals.dtype, seen.residuals.shape[1]))
         count = len(self.sparsity.seeds)
-        return found[:count], found[count:]
+        return derivatives[:count], derivatives[count:]
 
     def _directions(self, dtype: Any, segments: int) -> tuple[Array, ...]:
         seeds, units = (jnp.asarray(part, dtype) for part in (self.sparsity.seeds, self.sparsity.states))

@@ -105,8 +105,8 @@ class Tilted:
     @property
     def box(self) -> Box:
         """Initial coordinates and bounds."""
-        more = self.at.leaning, np.full(2, -STEEPEST), np.full(2, STEEPEST)
-        return Box(*(np.append(side, own) for side, own in zip(self.equation.box, more, strict=True)))
+        extra = self.at.leaning, np.full(2, -STEEPEST), np.full(2, STEEPEST)
+        return Box(*(np.append(side, added) for side, added in zip(self.equation.box, extra, strict=True)))
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
         """See `TorqueEquation.lack`."""

@@ -1,7 +1,4 @@
-"""Weighted least squares on torque: parameters for which inverse dynamics matches the measured torque.
-
-The functions work on arrays and callables; the caller gives the coordinates a meaning.
-"""
+"""Weighted least squares on torque: parameters for which inverse dynamics matches the measured torque."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,19 +52,19 @@ class Links:
     ) -> tuple[float, Float[np.ndarray, "bodies 10"], Float[np.ndarray, "2 bodies 10 10"]]:
         """Return the prior's loss, half its gradient, and half its second derivative in two versions.
 
-        The first is the Gauss-Newton approximation. The second is complete except for negative curvature: the
-        logarithmic coordinates bend towards a body without extent, and Gauss-Newton steps would leave the set of
-        physically consistent bodies.
+        The first is the Gauss-Newton approximation. The second adds positive curvature only: the logarithmic
+        coordinates bend towards a body without extent, and Gauss-Newton steps would leave the physically consistent
+        bodies.
         """
-        at = self.around.coordinates(parameters)
-        by_parameters = np.linalg.inv(self.around.slopes(at))
+        coordinates = self.around.coordinates(parameters)
+        by_parameters = np.linalg.inv(self.around.slopes(coordinates))
         sloped = by_parameters / self.spread[:, :, None]
         gauss = sloped.swapaxes(1, 2) @ sloped
-        ends = [[self._pull(at + side * step) for side in (1, -1)] for step in _BEND * np.eye(10)]
-        moved = np.stack([(up - down) / (2 * _BEND) for up, down in ends], axis=-1) @ by_parameters
-        values, axes = np.linalg.eigh((moved + moved.swapaxes(1, 2)) / 2 - gauss)
-        whole = gauss + (axes * np.maximum(values, 0)[:, None, :]) @ axes.swapaxes(1, 2)
-        return self.far(parameters), self._pull(at), np.stack([gauss, whole])
+        pulls = [[self._pull(coordinates + side * step) for side in (1, -1)] for step in _BEND * np.eye(10)]
+        curvature = np.stack([(up - down) / (2 * _BEND) for up, down in pulls], axis=-1) @ by_parameters
+        values, axes = np.linalg.eigh((curvature + curvature.swapaxes(1, 2)) / 2 - gauss)
+        complete = gauss + (axes * np.maximum(values, 0)[:, None, :]) @ axes.swapaxes(1, 2)
+        return self.far(parameters), self._pull(coordinates), np.stack([gauss, complete])
 
     def far(self, parameters: Float[np.ndarray, "bodies 10"]) -> float:
         """Return the prior's loss."""
@@ -79,7 +76,7 @@ class Links:
 
 
 class Box(NamedTuple):
-    """Initial coordinates and their bounds, each of shape (coordinates,)."""
+    """Initial coordinates and their bounds."""
 
     start: Float[np.ndarray, "coordinates"]
     low: Float[np.ndarray, "coordinates"]
@@ -91,7 +88,6 @@ class Balance:
     """Result of the weighted least squares.
 
     Attributes:
-        vector: The coordinates.
         bodies: Inertial parameters of the bodies, of shape (bodies, 10); no row without `Links`.
         residual: Residual torque at all samples, moving or not [N m or N].
         sigma: Standard deviation of each joint's residual torque where it moves, used as weight [N m or N].
@@ -120,13 +116,13 @@ class Balance:
 def invert(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return the covariance of a positive semidefinite information matrix; infinite variance where undetermined."""
     scale = np.sqrt(np.diag(information))
-    seen = scale > 0
-    scale = np.where(seen, scale, 1.0)
+    determined = scale > 0
+    scale = np.where(determined, scale, 1.0)
     values, axes = np.linalg.eigh(information / np.outer(scale, scale))
     kept = values > len(values) * np.finfo(float).eps * max(values[-1], 0.0)
     covariance = (axes[:, kept] / values[kept]) @ axes[:, kept].T / np.outer(scale, scale)
-    lost = np.square(axes[:, ~kept]).sum(axis=1) > 1e-8
-    covariance[lost, lost] = np.inf
+    undetermined = np.square(axes[:, ~kept]).sum(axis=1) > 1e-8
+    covariance[undetermined, undetermined] = np.inf
     return covariance
 
 
@@ -143,37 +139,33 @@ def balance(
     linear in their coordinates this is the inverse dynamics identification model (IDIM-LS) with weights; others take a
     few Gauss-Newton steps in each round.
 
+    `lack` is the residual torque with the model file's bodies, `slope` its derivative. `moving` marks the samples that
+    count. The inertia of `links` is identified too.
+
     Source: M. Gautier, "Dynamic identification of robots with power model", 1997; M. Gautier, P. Poignet, "Extended
     Kalman filtering and weighted least squares dynamic identification of robot", 2001, for the weights; T. Lee, P.
     Wensing, F. Park, "Geometric robot dynamic identification: a convex programming approach", 2020, for a prior around
     the model file's bodies.
-
-    Args:
-        lack: Residual torque with the model file's bodies, filtered and decimated.
-        slope: Derivative of `lack`.
-        box: Starting point and bounds.
-        moving: Which samples count, joint by joint.
-        links: Bodies whose inertia is identified too.
     """
     equation = _Equation(lack, slope, links, moving, box)
-    at = equation.start
-    sigma = _deviation(equation.left(at), moving, 0.0)
+    values = equation.start
+    sigma = _deviation(equation.left(values), moving, 0.0)
     for _ in range(_PASSES):
-        at, lowest = _descend(equation, at, sigma)
-        before, sigma = sigma, _deviation(equation.left(at), moving, len(at) / len(sigma))
-        if lowest and (np.abs(sigma / before - 1) < _SETTLED).all():
+        values, converged = _descend(equation, values, sigma)
+        last_sigma, sigma = sigma, _deviation(equation.left(values), moving, len(values) / len(sigma))
+        if converged and (np.abs(sigma / last_sigma - 1) < _SETTLED).all():
             break
-    vector, bodies = equation.split(at)
-    information, prior = (part.hessian for part in (equation.measured(at, sigma), equation.prior(at, False)))
-    return Balance(vector, bodies, equation.left(at), sigma, information, prior)
+    vector, bodies = equation.split(values)
+    information, prior = (part.hessian for part in (equation.measured(values, sigma), equation.prior(values, False)))
+    return Balance(vector, bodies, equation.left(values), sigma, information, prior)
 
 
 @dataclass(frozen=True)
 class _Equation:
     """Residual torque as a function of all unknowns: the vector, then the bodies' inertial parameters.
 
-    The torque is linear in the inertial parameters. In the bodies' coordinates the valley of nearly equal torques is
-    narrow and curved, and a search needs thousands of steps.
+    The torque is linear in these. In the bodies' coordinates the valley of nearly equal torques is narrow and curved,
+    and a search needs thousands of steps.
     """
 
     lack: Lack
@@ -207,12 +199,11 @@ class _Equation:
         return float(weighted @ weighted) + (0.0 if self.links is None else self.links.far(self.split(at)[1]))
 
     def measured(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> NormalEquations:
-        """Return the normal equations of the weighted measurements."""
         slopes = self.slope(self.split(at)[0])
         if self.links is not None:
             slopes = np.concatenate([slopes, -self.links.regressor.reshape(*slopes.shape[:2], -1)], axis=-1)
-        rows, rest = (slopes / sigma[:, None])[self.moving], (self.left(at) / sigma)[self.moving]
-        return NormalEquations(float(rest @ rest), rows.T @ rest, rows.T @ rows)
+        rows, residual = (slopes / sigma[:, None])[self.moving], (self.left(at) / sigma)[self.moving]
+        return NormalEquations(float(residual @ residual), rows.T @ residual, rows.T @ rows)
 
     def prior(self, at: Float[np.ndarray, "all"], whole: bool) -> NormalEquations:
         """Return the normal equations of the prior, with its whole second derivative or the Gauss-Newton one."""
@@ -234,13 +225,13 @@ def _descend(
         parts = equation.measured(at, sigma), equation.prior(at, whole=True)
         gradient, hessian = parts[0].gradient + parts[1].gradient, parts[0].hessian + parts[1].hessian
         step = bounded_step(gradient, hessian * (1 + damping * np.eye(len(at))), *(end - at for end in equation.bounds))
-        promised = -float(2 * step @ gradient + step @ hessian @ step)
-        if promised <= _TOLERANCE * loss:
+        decrease = -float(2 * step @ gradient + step @ hessian @ step)
+        if decrease <= _TOLERANCE * loss:
             return at, True
         for share in 0.5 ** np.arange(_HALVINGS):
-            tried = equation.loss(at + share * step, sigma)
-            if tried < loss:
-                at, loss, damping = at + share * step, tried, damping / 10 if share == 1 else damping
+            trial_loss = equation.loss(at + share * step, sigma)
+            if trial_loss < loss:
+                at, loss, damping = at + share * step, trial_loss, damping / 10 if share == 1 else damping
                 break
         else:
             damping = max(10 * damping, 1e-3)

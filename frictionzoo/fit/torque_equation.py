@@ -40,7 +40,6 @@ class TorqueEquation:
     with memory contributes its friction at constant velocity.
 
     Attributes:
-        joints: Names of the joints.
         rows: Number of rows from each log.
         motion: Motion of all logs, concatenated.
         shape: Number of samples and of joints of the motion.
@@ -50,8 +49,6 @@ class TorqueEquation:
         box: Initial coordinates and bounds.
 
     Args:
-        space: The coordinates.
-        recordings: Bench, model and logs.
         filtering: Smoothing of positions and filtering of torques.
         held: Whether a recorded command acts until the next sample, as in a simulation; if not, only at its instant,
             like a measured torque or current.
@@ -80,30 +77,30 @@ class TorqueEquation:
         self.motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
         self.shape = self.motion.qpos.shape
         # A simulated step uses the command at its beginning, on which the second difference of positions is centred.
-        whole = 1 - 1 / substeps if substeps else 1.0
-        self._lateness = (whole * logs[0].timestep / 2 if held else 0.0), logs[0].timestep
+        share = 1 - 1 / substeps if substeps else 1.0
+        self._lateness = (share * logs[0].timestep / 2 if held else 0.0), logs[0].timestep
         self.moving = filtering.is_moving(self.decimate(self.motion.qvel))
         self.box = Box(*(np.asarray(side, np.float64) for side in (space.start, space.low, space.high)))
-        local = looks_at_one_joint(model)
-        self._sparsity = Sparsity.of(space, range(bench.nv) if local else [0] * bench.nv)
+        is_local = looks_at_one_joint(model)
+        self._sparsity = Sparsity.of(space, range(bench.nv) if is_local else [0] * bench.nv)
         steady = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
         self._external = -self._inverse(bench, steady, None)
         self._compiled = jax.jit(self._torque), jax.jit(self._tangents)
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
         """Return the residual torque, filtered and decimated [N m or N]."""
-        at = jnp.asarray(vector, self._space.start.dtype)
-        torque = np.asarray(self._compiled[0](at), np.float64)
-        return self.decimate(torque) - self._rigid(self._space.values(at)["bench"])
+        coordinates = jnp.asarray(vector, self._space.start.dtype)
+        torque = np.asarray(self._compiled[0](coordinates), np.float64)
+        return self.decimate(torque) - self._rigid(self._space.values(coordinates)["bench"])
 
     def left(
         self, vector: Float[np.ndarray, "coordinates"], friction: Float[np.ndarray, "time nv"]
     ) -> Float[np.ndarray, "rows nv"]:
         """Return the residual torque with this friction torque in place of the model's [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
-        known = values["bench"]
+        bench = values["bench"]
         torque = np.asarray(self._state(values).motor_torque, np.float64) - friction
-        return self.decimate(torque - np.asarray(known["armature"]) * self.motion.qacc) - self._rigid(known)
+        return self.decimate(torque - np.asarray(bench["armature"]) * self.motion.qacc) - self._rigid(bench)
 
     def state(self, vector: Float[np.ndarray, "coordinates"]) -> DriveState:
         """Return the inputs of the friction model at every sample, as numpy arrays of shape (time, nv)."""
@@ -112,21 +109,16 @@ class TorqueEquation:
 
     def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
         """Return the derivative of the residual torque with respect to the coordinates."""
-        at = jnp.asarray(vector, self._space.start.dtype)
-        tangents = self.decimate(np.moveaxis(np.asarray(self._compiled[1](at), np.float64), 0, -1))
+        coordinates = jnp.asarray(vector, self._space.start.dtype)
+        tangents = self.decimate(np.moveaxis(np.asarray(self._compiled[1](coordinates), np.float64), 0, -1))
         slopes = np.zeros((*tangents.shape[:2], len(vector) + 1))  # the last collects tangents that move no coordinate
         for joints, place in zip(self._sparsity.joints, self._sparsity.place, strict=True):
             slopes[:, joints[:, None], place] = tangents[:, joints]
         slopes = slopes[:, :, :-1]
-        return slopes - self._offset_slope(at) if "bench.position_offset" in self._space.params else slopes
+        return slopes - self._offset_slope(coordinates) if "bench.position_offset" in self._space.params else slopes
 
     def links(self, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> Links:
-        """Return the torque regressor and prior of bodies of the bench's model.
-
-        Args:
-            bodies: Indices of the bodies.
-            spread: Standard deviation of the prior of each of a body's coordinates.
-        """
+        """Return torque regressor and prior of bodies; `spread` are standard deviations of a body's coordinates."""
         model = self._bench.compile(constraint=False)
         regressor = np.concatenate([inertial_regressor(model, bodies, *motion) for motion in self._motions])
         names = [model.body(body).name for body in bodies]
@@ -136,28 +128,28 @@ class TorqueEquation:
     def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
         """Return the physical value of each coordinate, not clipped to its bounds."""
         split, params = self._space.split(vector), self._space.params
-        return np.concatenate([np.zeros(0), *(params[name].from_coordinate(own, np) for name, own in split.items())])
+        return np.concatenate([np.zeros(0), *(params[name].from_coordinate(part, np) for name, part in split.items())])
 
     def weight(self, bench: Bench) -> Float[np.ndarray, "rows nv 3"]:
         """Return the torque that a bench's links need per m/s^2 of gravity along each world axis."""
         at_rest = [Motion(motion.qpos, 0 * motion.qvel, 0 * motion.qacc) for motion in self._motions]
-        without, *along = (
+        without, *torques = (
             self._inverse(bench.with_gravity(axis.tolist()), at_rest, None) for axis in (np.zeros(3), *np.eye(3))
         )
-        return self.decimate(np.stack([torque - without for torque in along], axis=-1))
+        return self.decimate(np.stack([torque - without for torque in torques], axis=-1))
 
     def scores(
         self, vector: Float[np.ndarray, "coordinates"]
     ) -> tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]:
-        """Return the normal equations of the weighted residual torque, and the gradient of each stretch of time.
+        """Return the normal equations of the residual torque, and the gradient of each stretch of time.
 
         Each joint's weight is the inverse variance of its residual torque.
         """
-        left, slopes = self.lack(vector), self.slope(vector)
+        residual, slopes = self.lack(vector), self.slope(vector)
         counts = np.maximum(self.moving.sum(axis=0), 1)
-        variance = np.where(self.moving, np.square(left), 0).sum(axis=0) / counts
+        variance = np.where(self.moving, np.square(residual), 0).sum(axis=0) / counts
         weight = np.where(self.moving, 1 / np.maximum(variance, np.finfo(float).tiny), 0) / self.moving.sum()
-        by_row = np.einsum("rvc,rv->rc", slopes, weight * left)
+        by_row = np.einsum("rvc,rv->rc", slopes, weight * residual)
         scores = np.stack([part.sum(axis=0) for part in np.array_split(by_row, min(MOST_STRETCHES, len(by_row)))])
         hessian = np.einsum("rvc,rvd->cd", weight[:, :, None] * slopes, slopes, optimize=True)
         # With unknown noise variances, maximum likelihood minimises the geometric mean of the residual variances.
@@ -165,25 +157,22 @@ class TorqueEquation:
         return NormalEquations(float(mean), mean * scores.sum(axis=0), mean * hessian), mean * scores
 
     def couplings(self, vector: Float[np.ndarray, "coordinates"]) -> dict[tuple[int, int], float]:
-        """Return pairs of joints whose residual torques are mostly explained by each other's motion.
+        """Return pairs of joints whose motions explain most of each other's residual torque, with the smaller share.
 
         This indicates a gear that couples two joints: one motor turns with both. Coupling by the links' inertia depends
         on the pose and does not show here. Joints with a residual torque below `LITTLE` are left out.
-
-        Returns:
-            For each pair, the smaller of the two explained shares.
         """
-        left, driving = self.lack(vector), self.driving(vector)
+        residual, driving = self.lack(vector), self.driving(vector)
         signals = self.decimate(np.stack([self.motion.qacc, self.motion.qvel, np.sign(self.motion.qvel)], axis=-1))
-        nv = left.shape[1]
+        nv = residual.shape[1]
         share = np.zeros((nv, nv))
         for joint in range(nv):
             moving = self.moving[:, joint]
-            rest, own = left[moving, joint], signals[moving, joint]
-            alone = _unexplained(rest, own)
-            if alone > LITTLE**2 * np.sum(np.square(driving[moving, joint])):
-                others = [_unexplained(rest, np.hstack([own, signals[moving, other]])) for other in range(nv)]
-                share[joint] = 1 - np.array(others) / alone
+            target, columns = residual[moving, joint], signals[moving, joint]
+            unexplained = _unexplained(target, columns)
+            if unexplained > LITTLE**2 * np.sum(np.square(driving[moving, joint])):
+                others = [_unexplained(target, np.hstack([columns, signals[moving, other]])) for other in range(nv)]
+                share[joint] = 1 - np.array(others) / unexplained
         mutual = np.minimum(share, share.T)
         return {(a, b): float(mutual[a, b]) for a, b in itertools.combinations(range(nv), 2) if mutual[a, b] > COUPLED}
 
@@ -205,15 +194,14 @@ class TorqueEquation:
         return jax.vmap(lambda seed: jax.jvp(self._torque, (vector,), (seed,))[1])(seeds)
 
     def _state(self, values: Values) -> DriveState:
-        """Return the inputs of the friction model at every sample."""
         dtype = self._space.start.dtype
         qpos, qvel, external = (jnp.asarray(x, dtype) for x in (*self.motion[:2], self._external))
-        signals, known = self._acting(values["bench"]), values["bench"]
+        signals, bench = self._acting(values["bench"]), values["bench"]
         if self._measured is not None:
             motor = jnp.asarray(self._measured, dtype)
         else:
-            ctrl = self._bench.actuator.control(jnp, known, qpos, qvel, signals.ctrl, signals.inputs)
-            gain, *bias = self._bench.actuator.affine(known)
+            ctrl = self._bench.actuator.control(jnp, bench, qpos, qvel, signals.ctrl, signals.inputs)
+            gain, *bias = self._bench.actuator.affine(bench)
             motor = gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel
         return DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed)
 
@@ -221,17 +209,17 @@ class TorqueEquation:
         """Return the recorded signals other than motion, with commands delayed to when they act."""
         dtype, commands = self._space.start.dtype, self._bench.actuator.commands
         recorded = [log.signals.named() for log in self._logs]
-        named = {name: jnp.asarray(np.concatenate([of[name] for of in recorded]), dtype) for name in recorded[0]}
+        named = {name: jnp.asarray(np.concatenate([part[name] for part in recorded]), dtype) for name in recorded[0]}
         first, last = self._ends
         half, interval = self._lateness
-        early = -(known.get("delay", jnp.zeros(self._bench.nv, dtype)) + half) / interval
-        whole = jax.lax.stop_gradient(jnp.floor(early))
-        samples = np.arange(len(first))[:, None] + whole.astype(int)
+        shift = -(known.get("delay", jnp.zeros(self._bench.nv, dtype)) + half) / interval
+        whole_samples = jax.lax.stop_gradient(jnp.floor(shift))
+        samples = np.arange(len(first))[:, None] + whole_samples.astype(int)
         joint = jnp.arange(self._bench.nv)
 
         def late(command: Array) -> Array:
             before, after = (command[jnp.clip(samples + step, first, last), joint] for step in (0, 1))
-            return before + (early - whole) * (after - before)
+            return before + (shift - whole_samples) * (after - before)
 
         acting = ("ctrl", *(f"inputs.{name}" for name in commands))
         return Signals.from_named({name: late(x) if name in acting else x for name, x in named.items()})
@@ -248,7 +236,6 @@ class TorqueEquation:
         return self.decimate(self._inverse(self._bench, self._motions, None))
 
     def _rigid(self, known: Mapping[str, Any]) -> Float[np.ndarray, "rows nv"]:
-        """Return the torque that the links need, filtered and decimated."""
         offset = known.get("position_offset")
         if offset is None:
             return self._fixed
@@ -266,15 +253,15 @@ class TorqueEquation:
         return np.concatenate(parts)
 
     def _offset_slope(self, at: Array) -> Float[np.ndarray, "rows nv coordinates"]:
-        """Return the derivative of the links' torque with respect to the coordinates of the position offset."""
+        """Return the derivative of the links' torque by the coordinates of the position offset."""
         offset = np.asarray(self._space.values(at)["bench"]["position_offset"], np.float64)
-        known, free = {"position_offset": offset}, self._space.places["bench.position_offset"].joints
+        reference, free = {"position_offset": offset}, self._space.places["bench.position_offset"].joints
         by_joint = np.zeros((*self.moving.shape, len(offset)))
         for joint in free:
-            moved = offset + _STEP * (np.arange(len(offset)) == joint)
-            by_joint[..., joint] = (self._rigid({"position_offset": moved}) - self._rigid(known)) / _STEP
-        moves = jax.jacfwd(lambda vector: self._space.values(vector)["bench"]["position_offset"])(at)
-        return by_joint @ np.asarray(moves, np.float64)
+            shifted = offset + _STEP * (np.arange(len(offset)) == joint)
+            by_joint[..., joint] = (self._rigid({"position_offset": shifted}) - self._rigid(reference)) / _STEP
+        offset_slope = jax.jacfwd(lambda vector: self._space.values(vector)["bench"]["position_offset"])(at)
+        return by_joint @ np.asarray(offset_slope, np.float64)
 
 
 def _unexplained(rest: Float[np.ndarray, "rows"], columns: Float[np.ndarray, "rows columns"]) -> float:

@@ -18,15 +18,11 @@ from frictionzoo.fit.space import Space
 
 LEVEL = 0.95
 WIDEST = np.log(1.5)
-"""Half width of an interval, in the optimiser's coordinate, above which a parameter is not identifiable.
-
-In logarithmic coordinates this is a factor of 1.5, otherwise 41 % of the parameter's scale.
-"""
+"""Half width of an interval, in the optimiser's coordinate, above which a parameter is not identifiable: a factor of
+1.5 in logarithmic coordinates, otherwise 41 % of the parameter's scale."""
 COLLINEAR = 1e-4
-"""Eigenvalue of J' J, with columns scaled to length 1, below which a combination of parameters has no effect.
-
-Two columns then agree to about 1 %. A time step or a neglected effect causes differences of that size.
-"""
+"""Eigenvalue of J' J, with columns scaled to length 1, below which a combination of parameters has no effect. Two
+columns then agree to about 1 %; a time step or a neglected effect causes differences of that size."""
 TAKES_PART = 0.1  # entry of a combination of length 1 above which a parameter belongs to it
 CORRELATED = 0.99  # magnitude of the correlation above which two parameters are indistinguishable
 _LASTING = 0.97  # largest correlation rho of successive stretches, the bound of Andrews and Monahan
@@ -78,15 +74,14 @@ def estimate_uncertainty(
         t    Student's quantile with G - 1 degrees of freedom
 
     sigma^2 H^-1 would be several times too narrow: residuals within a rollout are strongly correlated, model error
-    correlates the residuals of neighbouring rollouts, and neighbouring rollouts share a noisy sample. With at least
-    `ENOUGH_RECORDINGS` recordings a stretch consists of whole recordings, because a part of a recording does not show
-    changes from one recording to the next. Otherwise a stretch is a period of time. Such periods are nearly
-    independent, except for model error while the motion stays similar; rho widens the interval accordingly. The step
-    H^-1 s that the fit left to the minimum also widens the interval, so that it holds for the best point of a grid.
-    Both ends are clipped to the bounds and converted to the parameter's unit.
+    correlates neighbouring rollouts, and these share a noisy sample. With at least `ENOUGH_RECORDINGS` recordings a
+    stretch consists of whole recordings, because a part of one does not show changes between recordings. Otherwise it
+    is a period of time. Periods are nearly independent, except for model error while the motion stays similar; rho
+    widens the interval accordingly. The step H^-1 s left to the minimum widens it too, so that it holds for the best
+    point of a grid. Both ends are clipped to the bounds and converted to the parameter's unit.
 
-    Halving the time step h removes about half of its effect on the estimate. With `finer`, the interval extends to the
-    estimate at time step 0: s is then 2 s_(h/2) - s_h.
+    Halving the time step h removes about half of its effect on the estimate. With `finer`, the objective near a vector
+    at half the time step, the interval extends to the estimate at time step 0: s is then 2 s_(h/2) - s_h.
 
     A parameter is not identifiable if it has no effect, has one only in combination with others, ended at a bound, or
     has an interval that reaches a bound or whose half width exceeds `WIDEST`. In the first three cases it has no
@@ -96,20 +91,15 @@ def estimate_uncertainty(
     The interval describes the best-fitting value, not the drive's true value: it does not contain a model error that is
     the same throughout the data, nor the bias of noisy initial states.
 
-    Args:
-        objective: The objective that was minimised.
-        vector: The best coordinates.
-        fit: The method that found them, which may minimise another loss; None for the objective's loss.
-        finer: Function that returns the objective near a vector with the drive simulated at half the time step; None
-            to ignore the effect of the time step.
+    `fit` is the method that found the vector and may minimise another loss; None for the objective's loss.
 
     Source: P. Huber, "The behavior of maximum likelihood estimates under nonstandard conditions", 1967; H. White, "A
     heteroskedasticity-consistent covariance matrix estimator and a direct test for heteroskedasticity", 1980; K.-Y.
     Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", 1986, for clusters; C. Bester, T.
     Conley, C. Hansen, "Inference with dependent data using cluster covariance estimators", 2011, for few stretches of
     time as clusters; D. Andrews, J. Monahan, "An improved heteroskedasticity and autocorrelation consistent covariance
-    matrix estimator", 1992, for rho (prewhitening); L. Richardson, "The deferred approach to the limit", 1927, for
-    time steps with a first-order error.
+    matrix estimator", 1992, for rho (prewhitening); L. Richardson, "The deferred approach to the limit", 1927, for time
+    steps with a first-order error.
     """
     space = objective.space
     if not space.names:
@@ -144,32 +134,28 @@ def assess(
 ) -> Uncertainty:
     """Estimate confidence intervals from the normal equations at the best vector; see `estimate_uncertainty`.
 
-    Args:
-        space: The coordinates, all of physical parameters.
-        vector: The best coordinates.
-        equations: The normal equations there, with the exact second derivative of a robust loss.
-        scores: Gradient of each stretch of segments.
-        collinear: Threshold in place of `COLLINEAR`.
+    All coordinates belong to physical parameters. The Hessian has the exact second derivative of a robust loss.
+    `scores` holds the gradient of each stretch; `collinear` replaces `COLLINEAR`.
     """
     vector, low, high = (np.asarray(side, np.float64) for side in (vector, space.low, space.high))
     curvature = np.diag(equations.hessian)
     at_bound = space.at_bound(vector)
-    seen = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
-    found = _solve(equations, scores, seen, float(np.finfo(space.start.dtype).eps), collinear)
+    effective = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
+    solution = _solve(equations, scores, effective, float(np.finfo(space.start.dtype).eps), collinear)
 
-    ends, own = np.full((len(vector), 2), np.nan), seen[~found.combined]
-    together = _describe(space, vector, own, found)
-    half = _quantile(together.freedom) * np.sqrt(np.diag(together.matrix))
-    ends[own] = np.stack([together.centre - half, together.centre + half], axis=1)
-    inside = (ends[:, 0] > low) & (ends[:, 1] < high)  # of NaN, False
-    identifiable = inside & (ends[:, 1] - ends[:, 0] < 2 * WIDEST)
-    groups = _list_groups(found.joined & ~np.logical_or.outer(identifiable[seen], identifiable[seen]))
+    intervals, subset = np.full((len(vector), 2), np.nan), effective[~solution.combined]
+    covariance = _describe(space, vector, subset, solution)
+    half = _quantile(covariance.freedom) * np.sqrt(np.diag(covariance.matrix))
+    intervals[subset] = np.stack([covariance.centre - half, covariance.centre + half], axis=1)
+    inside = (intervals[:, 0] > low) & (intervals[:, 1] < high)  # of NaN, False
+    identifiable = inside & (intervals[:, 1] - intervals[:, 0] < 2 * WIDEST)
+    groups = _list_groups(solution.joined & ~np.logical_or.outer(identifiable[effective], identifiable[effective]))
 
     return Uncertainty(
-        space.physical(np.clip(ends, low[:, None], high[:, None])),
-        {name: space.spread(name, own, known=True) for name, own in space.split(identifiable).items()},
-        tuple(tuple(space.labels[seen[i]] for i in group) for group in groups),
-        covariance=together if together.labels else None,
+        space.physical(np.clip(intervals, low[:, None], high[:, None])),
+        {name: space.spread(name, subset, known=True) for name, subset in space.split(identifiable).items()},
+        tuple(tuple(space.labels[effective[i]] for i in group) for group in groups),
+        covariance=covariance if covariance.labels else None,
     )
 
 
@@ -177,8 +163,6 @@ class _Solution(NamedTuple):
     """Covariance of the coordinates that have an effect.
 
     Attributes:
-        covariance: Covariance of their estimates.
-        freedom: Degrees of freedom of the covariance.
         step: Newton step from the best vector to the minimum.
         combined: Whether a coordinate has an effect only in combination with others.
         joined: Whether two coordinates belong to the same such combination, or have strongly correlated estimates.
@@ -219,10 +203,10 @@ def _solve(
 def _whiten(moved: Float[np.ndarray, "stretches seen"]) -> Float[np.ndarray, "stretches seen"]:
     """Remove the correlation of successive stretches (prewhitening), and rescale to the long-run variance."""
     square = np.square(moved).sum(axis=0)
-    kept = np.divide((moved[1:] * moved[:-1]).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
-    kept = np.clip(kept, 0.0, _LASTING)
-    new = np.concatenate([np.sqrt(1 - kept**2) * moved[:1], moved[1:] - kept * moved[:-1]])
-    return new / (1 - kept)
+    rho = np.divide((moved[1:] * moved[:-1]).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
+    rho = np.clip(rho, 0.0, _LASTING)
+    innovations = np.concatenate([np.sqrt(1 - rho**2) * moved[:1], moved[1:] - rho * moved[:-1]])
+    return innovations / (1 - rho)
 
 
 def _describe(
@@ -232,10 +216,10 @@ def _describe(
     kept = ~found.combined
     matrix, step = found.covariance[np.ix_(kept, kept)], found.step[kept]
     deviation = np.sqrt(np.diag(matrix))
-    both = np.outer(deviation, deviation)
-    correlation = np.divide(matrix, both, out=np.eye(len(own)), where=both > 0)
+    product = np.outer(deviation, deviation)
+    correlation = np.divide(matrix, product, out=np.eye(len(own)), where=product > 0)
     stretched = deviation + np.abs(step) / 2 / _quantile(found.freedom)
-    labels = tuple(space.labels[at] for at in own)
+    labels = tuple(space.labels[index] for index in own)
     return Covariance(labels, vector[own] + step / 2, correlation * np.outer(stretched, stretched), found.freedom)
 
 
@@ -244,7 +228,6 @@ def _quantile(freedom: float) -> float:
 
 
 def _list_groups(joined: Bool[np.ndarray, "seen seen"]) -> list[Int[np.ndarray, "members"]]:
-    """Return the connected sets of two or more coordinates."""
     count, label = connected_components(joined, directed=False)
     groups = (np.flatnonzero(label == number) for number in range(count))
     return [group for group in groups if len(group) > 1]
