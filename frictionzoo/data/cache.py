@@ -17,14 +17,14 @@ _log = logging.getLogger(__name__)
 
 
 def cache_folder(setting: str | None) -> Path | None:
-    """Return the folder for `cache_dir`: `user` for the operating system's user cache, a path, or None for no cache."""
+    """Return the folder for `cache_dir`: `user` for the system's user cache, a path, or None for no cache."""
     if setting is None:
         return None
     return Path(platformdirs.user_cache_dir("frictionzoo") if setting == "user" else setting).expanduser()
 
 
 def digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the SHA-256 of the bytes of the arrays, in their order."""
+    """Return the SHA-256 of the arrays' bytes, in their order."""
     total = hashlib.sha256()
     for values in arrays.values():
         total.update(np.ascontiguousarray(values).tobytes())
@@ -32,23 +32,16 @@ def digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def cached(path: Path | None, names: Sequence[str], make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Read named arrays from an .npz file; if it is missing or damaged, make and save them.
-
-    Args:
-        path: File of the arrays; None for no cache.
-        names: Names of the arrays, in the order of `make`.
-        make: Function that computes the arrays.
-    """
-    kept = None if path is None else _read(path, names)
-    if kept is None:
-        kept = make()
+    """Read named arrays from an .npz file (None: no cache); if it is missing or damaged, make and save them."""
+    arrays = None if path is None else _read(path, names)
+    if arrays is None:
+        arrays = make()
         if path is not None:
-            _write(path, kept)
-    return kept
+            _write(path, arrays)
+    return arrays
 
 
 def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
-    """Return the arrays of an intact file, otherwise None."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in names}

@@ -1,7 +1,6 @@
-"""Cleaning of recordings to logs, which are uniform in time, without gaps and, on request, without spikes.
+"""Cleaning: recordings become logs, uniform in time, without gaps and, on request, without spikes.
 
-`Log.repairs` lists each change in a sentence. Clean data stays the same bit for bit. The delay of the command stays,
-because it is a parameter of the fit.
+`Log.repairs` lists each change. Clean data stays bit-identical. The command delay stays: the fit estimates it.
 """
 
 import contextlib
@@ -57,24 +56,24 @@ class Cleaning(Described):
     Attributes:
         step: Sample interval of the logs [s]; None for the recording's interval (the median, if it varies by more than
             `JITTER`). All recordings of a fit need the same interval.
-        resample: Interpolation of positions, velocities and extra signals: `linear`, or `cubic` splines. The drive's
-            enable signal is held. A command becomes the mean of the held command over each new interval, which neither
-            delays nor advances it.
+        resample: Interpolation of positions, velocities and extra signals: `linear`, or `cubic` splines. The enable
+            signal is held. A command becomes the mean of the held command over each new interval, which neither delays
+            nor advances it.
         gap: Longest interval, in medians, that does not split a recording. Longer runs of NaN split it too; shorter
             ones are interpolated.
         wrap: Period of wrapped positions, which are unwrapped [rad]; None for no change.
-        spikes: Treatment of isolated spikes of one or two samples. `repair` interpolates them in continuous
-            signals and replaces outliers of commands by the previous value; `drop` leaves out recordings with a spike
-            in the position; `keep` keeps them.
-        velocity: `measured`; `estimated` from the position without phase lag; or `auto`: measured and compared with
-            the position, but estimated for joints whose velocity is missing, constant or shows no motion, or is so late
-            or noisy that the estimate is more accurate.
+        spikes: Treatment of isolated spikes of one or two samples. `repair` interpolates them in continuous signals and
+            replaces outliers of commands by the previous value; `drop` leaves out recordings with a spike in the
+            position; `keep` keeps them.
+        velocity: `measured`; `estimated` from the position without phase lag; or `auto`: measured and compared with the
+            position, but estimated for joints whose velocity is missing, constant, without motion, or so late or noisy
+            that the estimate is more accurate.
         cutoff: Cut-off frequency of the velocity estimate [Hz].
         order: Order of its filter, which runs forwards and backwards.
         velocity_lag: Lag of the measured velocity behind the position, to be removed [s]; `auto` measures it; None
             removes nothing.
-        command_lag: Lag of the recorded commands due to the recorder, to be removed [s]; None removes nothing. The
-            bench's `delay` is the delay of a command's effect.
+        command_lag: Lag of the commands due to the recorder, to be removed [s]; None removes nothing. It is not the
+            bench's `delay`, which delays a command's effect.
         shortest: Shortest piece to keep [s].
 
     Raises:
@@ -120,9 +119,8 @@ class Piece:
 
     Attributes:
         time: Sample times [s].
-        signals: Samples of each signal.
         repairs: Changes so far, a sentence each.
-        without_velocity: Joints, by number, whose qvel is estimated from qpos.
+        without_velocity: Numbers of the joints whose qvel is estimated from qpos.
     """
 
     time: Float[np.ndarray, "time"]
@@ -131,44 +129,43 @@ class Piece:
     without_velocity: tuple[int, ...] = ()
 
     def say(self, *sentences: str) -> "Piece":
-        """Return the same piece with further repair sentences."""
+        """Return the piece with further repair sentences."""
         return replace(self, repairs=self.repairs + sentences)
 
     def keep(self, kept: Bool[np.ndarray, "time"] | slice) -> "Piece":
-        """Return a piece with only the kept samples."""
+        """Return the piece with only the kept samples."""
         return replace(self, time=self.time[kept], signals={name: v[kept] for name, v in self.signals.items()})
 
 
 def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
-    """Clean a recording to logs, one for each stretch without a gap, in order; empty if all of it is left out.
+    """Clean a recording to logs, one for each stretch without a gap, in order; empty if nothing remains.
 
     Raises:
         LogError: A signal is missing, a repair is impossible, or the units of velocity and position differ.
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
-    whole = _drop_repeated(_even_out(Piece(recording.time, recording.signals, recording.notes)))
-    whole = _drop_velocity(_unwrap(whole, cleaning.wrap), recording.name, cleaning)
-    if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
+    stretch = _drop_repeated(_even_out(Piece(recording.time, recording.signals, recording.notes)))
+    stretch = _drop_velocity(_unwrap(stretch, cleaning.wrap), recording.name, cleaning)
+    if cleaning.spikes == "drop" and any(map(count_spikes, stretch.signals["qpos"].T)):
         return []
-    pieces = _split(whole, cleaning.gap)
-    long = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
-    if len(long) < len(pieces):
-        short = len(pieces) - len(long)
-        long = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {short}") for piece in long]
-    names = [f"{recording.name}[{i + 1}]" for i in range(len(long))] if len(pieces) > 1 else [recording.name]
-    return [_finish(piece, name, recording, cleaning) for piece, name in zip(long, names, strict=False)]
+    pieces = _split(stretch, cleaning.gap)
+    kept = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
+    if len(kept) < len(pieces):
+        count = len(pieces) - len(kept)
+        kept = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {count}") for piece in kept]
+    names = [f"{recording.name}[{i + 1}]" for i in range(len(kept))] if len(pieces) > 1 else [recording.name]
+    return [_finish(piece, name, recording, cleaning) for piece, name in zip(kept, names, strict=False)]
 
 
 def summarise_repairs(logs: Sequence[Log]) -> list[str]:
-    """Return a line for each kind of repair in many logs, the most frequent first."""
+    """Return a line for each kind of repair, the most frequent first."""
     kinds = Counter(NUMBER.sub("#", sentence) for log in logs for sentence in log.repairs)
     examples = {NUMBER.sub("#", sentence): sentence for log in reversed(logs) for sentence in log.repairs}
     return [f"{count} of {len(logs)} logs: {examples[kind]}" for kind, count in kinds.most_common()]
 
 
 def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -> Log:
-    """Convert a stretch without gaps to a log."""
     piece = _fill_nan(piece)
     piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
     piece = _shift_velocity(piece, name, cleaning)
@@ -196,43 +193,39 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
 
 
 def _even_out(piece: Piece) -> Piece:
-    """Restore even times before rounding: two interval lengths, each time at most `ROUNDED` rounding steps off."""
+    """Undo rounding of even times: two interval lengths, each time at most `ROUNDED` rounding steps off."""
     steps = np.diff(piece.time)
     interval = float(piece.time[-1] - piece.time[0]) / max(len(steps), 1)
     if len(steps) < FEWEST or not interval > 0:
         return piece
-    apart, often = np.unique(np.round(steps / interval, 4), return_counts=True)
-    if len(apart) != 2 or often.min() < SEVERAL or not apart[1] - apart[0] > JITTER:
+    intervals, counts = np.unique(np.round(steps / interval, 4), return_counts=True)
+    if len(intervals) != 2 or counts.min() < SEVERAL or not intervals[1] - intervals[0] > JITTER:
         return piece
-    step, samples = interval * float(apart[1] - apart[0]), np.arange(len(piece.time))
+    step, samples = interval * float(intervals[1] - intervals[0]), np.arange(len(piece.time))
     slope, start = np.polyfit(samples, piece.time, 1)
     if np.abs(piece.time - start - slope * samples).max() > ROUNDED * step:
         return piece
-    said = f"{TIMES_ROUNDED} {step:.4g} s: replaced by even times, {slope:.6g} s apart"
-    return replace(piece, time=start + slope * samples).say(said)
+    sentence = f"{TIMES_ROUNDED} {step:.4g} s: replaced by even times, {slope:.6g} s apart"
+    return replace(piece, time=start + slope * samples).say(sentence)
 
 
 def _drop_repeated(piece: Piece) -> Piece:
-    new = np.diff(piece.time, prepend=-np.inf) != 0
-    if new.all():
+    is_new = np.diff(piece.time, prepend=-np.inf) != 0
+    if is_new.all():
         return piece
-    return piece.keep(new).say(f"samples with a repeated time dropped: {(~new).sum()}")
+    return piece.keep(is_new).say(f"samples with a repeated time dropped: {(~is_new).sum()}")
 
 
 def _unwrap(piece: Piece, turn: float | None) -> Piece:
     if turn is None:
         return piece
     qpos = np.unwrap(piece.signals["qpos"], period=turn, axis=0)
-    turned = np.count_nonzero(np.diff(np.round((qpos - piece.signals["qpos"]) / turn), axis=0))
-    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns of the position unwrapped: {turned}")
+    turns = np.count_nonzero(np.diff(np.round((qpos - piece.signals["qpos"]) / turn), axis=0))
+    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns of the position unwrapped: {turns}")
 
 
 def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """Drop velocities that are to be estimated: 0 for single joints, no qvel if it is to be estimated for all.
-
-    Raises:
-        LogError: With `velocity=measured`, a velocity is missing, constant or shows no motion.
-    """
+    """Drop velocities to estimate: 0 for some joints, no qvel for all; LogError with `velocity=measured`."""
     qpos, qvel = piece.signals["qpos"], piece.signals.get("qvel")
     if qvel is None or cleaning.velocity == "estimated":
         signals = {signal: values for signal, values in piece.signals.items() if signal != "qvel"}
@@ -254,7 +247,6 @@ def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 
 def _split(piece: Piece, gap: float) -> list[Piece]:
-    """Split at gaps, resets of the clock and long runs of NaN."""
     pieces = _split_at(
         piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or goes back"
     )
@@ -269,17 +261,17 @@ def _split_at(piece: Piece, breaks: Sequence[int] | np.ndarray, sentence: str) -
 
 
 def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
-    """Cut out runs of NaN that are longer than a gap, or touch an end, where interpolation is impossible."""
-    lost = ~np.all([np.isfinite(values).all(axis=1) for values in piece.signals.values()], axis=0)
-    for first, last in np.flatnonzero(np.diff(lost, prepend=False, append=False)).reshape(-1, 2):
-        ends = first == 0 or last == len(lost)
+    """Cut out runs of NaN that are longer than a gap or touch an end; these cannot be interpolated."""
+    missing = ~np.all([np.isfinite(values).all(axis=1) for values in piece.signals.values()], axis=0)
+    for first, last in np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2):
+        touches_end = first == 0 or last == len(missing)
         # n missing samples make an interval of n + 1 steps.
-        lost[first:last] = ends or last - first + 1 > gap
-    if not lost.any():
+        missing[first:last] = touches_end or last - first + 1 > gap
+    if not missing.any():
         return [piece]
-    breaks = np.flatnonzero(np.diff(lost)) + 1
+    breaks = np.flatnonzero(np.diff(missing)) + 1
     parts = _split_at(piece, breaks, f"cut where a signal is NaN for over {gap:g} intervals or at an end")
-    return [part for part, start in zip(parts, (0, *breaks), strict=True) if not lost[start]]
+    return [part for part, start in zip(parts, (0, *breaks), strict=True) if not missing[start]]
 
 
 def _fill_nan(piece: Piece) -> Piece:
@@ -290,22 +282,21 @@ def _fill_nan(piece: Piece) -> Piece:
         if bad.any():
             method = "held" if name in HELD else "linear"
             pairs = zip(~bad.T, values.T, strict=True)
-            columns = [_sample(column[known], piece.time[known], piece.time, method) for known, column in pairs]
+            columns = [_sample(column[valid], piece.time[valid], piece.time, method) for valid, column in pairs]
             filled[name] = np.where(bad, np.stack(columns, axis=1), values)
             sentences.append(f"NaN samples of {name} interpolated: {bad.any(axis=1).sum()}")
     return replace(piece, signals=filled).say(*sentences) if sentences else piece
 
 
 def _repair_spikes(piece: Piece) -> Piece:
-    """Interpolate spikes of continuous signals, and replace outliers of held commands by the previous value."""
     repaired, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
         if name in COMMANDS:
-            far = _each(find_outliers, values)
-            before = np.maximum.accumulate(np.where(far, 0, np.arange(len(values))[:, None]), axis=0)
-            if far.any():
-                repaired[name] = np.take_along_axis(values, before, axis=0)
-                sentences.append(f"outliers of {name} replaced by the previous value: {far.any(axis=1).sum()}")
+            outliers = _each(find_outliers, values)
+            previous = np.maximum.accumulate(np.where(outliers, 0, np.arange(len(values))[:, None]), axis=0)
+            if outliers.any():
+                repaired[name] = np.take_along_axis(values, previous, axis=0)
+                sentences.append(f"outliers of {name} replaced by the previous value: {outliers.any(axis=1).sum()}")
         count = 0 if name in HELD else sum(map(count_spikes, values.T))
         if count:
             repaired[name] = _each(repair_spikes, values)
@@ -314,7 +305,7 @@ def _repair_spikes(piece: Piece) -> Piece:
 
 
 def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """Shift the measured velocity earlier by its lag, and cut the end without samples."""
+    """Shift the measured velocity earlier by its lag, and cut the end that has no samples."""
     if cleaning.velocity_lag is None or cleaning.velocity == "estimated" or "qvel" not in piece.signals:
         return piece
     lag = _find_lag(piece, name) if isinstance(cleaning.velocity_lag, str) else float(cleaning.velocity_lag)
@@ -322,14 +313,13 @@ def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     kept = (later >= piece.time[0]) & (later <= piece.time[-1])
     if kept.sum() < 2:
         raise LogError(f"{name}: shorter than data.clean.velocity_lag={lag:g} s; set a smaller one")
-    moved = _each(_sample, piece.signals["qvel"], piece.time, later[kept], cleaning.resample)
+    shifted = _each(_sample, piece.signals["qvel"], piece.time, later[kept], cleaning.resample)
     cut = piece.keep(kept)
     sentence = f"qvel shifted {lag:.4g} s earlier, {cleaning.resample} between samples"
-    return replace(cut, signals={**cut.signals, "qvel": moved}).say(sentence)
+    return replace(cut, signals={**cut.signals, "qvel": shifted}).say(sentence)
 
 
 def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """Shift the commands earlier by their lag, and cut the end without samples."""
     if cleaning.command_lag is None:
         return piece
     later = piece.time + cleaning.command_lag
@@ -338,16 +328,16 @@ def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
         raise LogError(f"{name}: shorter than data.clean.command_lag={cleaning.command_lag:g} s; set a smaller one")
     commands = [signal for signal in COMMANDS if signal in piece.signals]
     cut = piece.keep(kept)
-    moved = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], "held") for signal in commands}
+    shifted = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], "held") for signal in commands}
     sentence = f"{', '.join(commands)} shifted {cleaning.command_lag:.4g} s earlier"
-    return replace(cut, signals={**cut.signals, **moved}).say(sentence)
+    return replace(cut, signals={**cut.signals, **shifted}).say(sentence)
 
 
 def _find_lag(piece: Piece, name: str) -> float:
-    """Return the lag of the measured velocity, median over the joints [s]."""
+    """Return the lag of the measured velocity, the median over the joints [s]."""
     qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
-    found = [find_velocity_lag(piece.time, repair_spikes(q), v) for q, v in zip(qpos.T, qvel.T, strict=True)]
-    lags = [lag[0] for lag in found if lag is not None]
+    estimates = [find_velocity_lag(piece.time, repair_spikes(q), v) for q, v in zip(qpos.T, qvel.T, strict=True)]
+    lags = [lag[0] for lag in estimates if lag is not None]
     if not lags:
         raise LogError(
             f"{name}: qvel does not match a delayed derivative of the position, expected for "
@@ -388,27 +378,25 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 
 def _each(change: Callable[..., np.ndarray], values: Float[np.ndarray, "time columns"], *more: Any) -> np.ndarray:
-    """Apply a function to each column."""
     return np.stack([change(column, *more) for column in values.T], axis=1)
 
 
 def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method: str) -> Float[np.ndarray, "grid"]:
-    """Resample a signal at other times."""
     if method == "held":
-        close = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-        return values[np.maximum(np.searchsorted(time, at + close, side="right") - 1, 0)]
+        tolerance = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        return values[np.maximum(np.searchsorted(time, at + tolerance, side="right") - 1, 0)]
     if method == "cubic" and len(time) > 3:
         return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
     if method == "mean":  # of the held signal over each interval of the uniform grid
         step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
-        ends = np.append(time, time[-1] + step)
-        integral = np.append(0.0, np.cumsum(values * np.diff(ends)))
-        return np.diff(np.interp(np.append(at, at[-1] + step), ends, integral)) / step
+        edges = np.append(time, time[-1] + step)
+        integral = np.append(0.0, np.cumsum(values * np.diff(edges)))
+        return np.diff(np.interp(np.append(at, at[-1] + step), edges, integral)) / step
     return np.interp(at, time, values)
 
 
 def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """Estimate velocities that are missing or less accurate than the estimate; compare the others with the position."""
+    """Estimate velocities that are missing or inaccurate; compare the others with the position."""
     if cleaning.velocity == "measured" and "qvel" not in piece.signals:
         raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
     timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
@@ -422,14 +410,14 @@ def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
         with contextlib.suppress(LogError, ConfigError):  # a recording without an estimate keeps the measured velocity
             estimates = estimate()
         joints = sorted({*range(qpos.shape[1])} - {*piece.without_velocity})
-        said, worse = compare_velocities(name, piece.time, qpos, piece.signals["qvel"], joints, estimates)
-        piece = replace(piece, without_velocity=tuple(sorted({*piece.without_velocity, *worse}))).say(*said)
+        sentences, worse = compare_velocities(name, piece.time, qpos, piece.signals["qvel"], joints, estimates)
+        piece = replace(piece, without_velocity=tuple(sorted({*piece.without_velocity, *worse}))).say(*sentences)
     if not piece.without_velocity:
         return piece
-    lacking = list(piece.without_velocity)
+    to_estimate = list(piece.without_velocity)
     qvel = piece.signals.get("qvel", np.empty_like(qpos)).copy()
-    qvel[:, lacking] = (estimate() if estimates is None else estimates)[:, lacking]
-    how = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
+    qvel[:, to_estimate] = (estimate() if estimates is None else estimates)[:, to_estimate]
+    method = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
     return replace(piece, signals={**piece.signals, "qvel": qvel}).say(
-        f"qvel{of_joints(lacking, qpos)} estimated from qpos: {how}"
+        f"qvel{of_joints(to_estimate, qpos)} estimated from qpos: {method}"
     )

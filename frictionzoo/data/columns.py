@@ -28,11 +28,10 @@ def to_recording(
     simulated: bool | None,
     listed: Collection[str] = (),
 ) -> Recording:
-    """Convert a table to a recording with signals in SI units at the times of `qpos`.
+    """Convert a table to a recording with signals in SI units at the times of `qpos`, counted from 0.
 
-    Time starts at 0. Signals recorded at other times are resampled to those of `qpos`: commands and `enable` are held
-    until the next sample, and their first value also holds before it; measurements are interpolated. Missing, repeated
-    or disordered samples stay for cleaning.
+    Signals with other times are resampled: commands and `enable` are held until the next sample, and their first value
+    also holds before it; measurements are interpolated. Missing, repeated or disordered samples stay for cleaning.
 
     Args:
         table: Contents of a file.
@@ -59,12 +58,12 @@ def to_recording(
     for signal, values in signals.items():
         _refuse_absurd(table.name, signal, headers[signal], values, LARGEST)
     notes = tuple(dict.fromkeys(clock.notes))
-    came = {signal: Columns(headers[signal], signal in listed) for signal in signals}
-    return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes, came)
+    origins = {signal: Columns(headers[signal], signal in listed) for signal in signals}
+    return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes, origins)
 
 
 def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
-    """Refuse an unusable column with the name of a signal by a LogError; otherwise another column would replace it."""
+    """Raise LogError for an unusable column with a signal's name, which another column would replace."""
     for signal in SIGNALS:
         for header in (signal, BAM.get(signal, signal)):
             if header in table.refused and columns.get(signal) is None and signal not in table.columns:
@@ -75,7 +74,7 @@ def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
 def _refuse_absurd(
     name: str, signal: str, headers: Sequence[str], values: Float[np.ndarray, "time columns"], largest: float
 ) -> None:
-    """Refuse samples above the largest plausible value with a LogError; NaN is a missing sample."""
+    """Raise LogError for a sample above the largest plausible value; NaN is a missing sample."""
     absurd = np.abs(values) > largest
     if absurd.any():
         sample, column = np.argwhere(absurd)[0].tolist()
@@ -90,13 +89,12 @@ def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:
     if header in table.refused:
         raise LogError(table.refused[header])
     if header not in table.columns:
-        came = [name for name in (*table.columns, *table.refused) if name]
-        raise LogError(f"{table.name}: no column {header}; {closest(header, came)}; rename it or set data.columns")
+        available = [name for name in (*table.columns, *table.refused) if name]
+        raise LogError(f"{table.name}: no column {header}; {closest(header, available)}; rename it or set data.columns")
     return table.columns[header]
 
 
 def _check(columns: Mapping[str, Any]) -> Headers:
-    """Return the headers of the given signals as tuples."""
     for key in set(columns) - set(SIGNALS):
         raise ConfigError(f"data.columns.{key}: unknown signal; {closest(str(key), SIGNALS)}")
     headers = {key: list_names(f"columns.{key}", given) for key, given in columns.items() if given is not None}
@@ -124,13 +122,13 @@ def _complete(table: Table, headers: Headers) -> Headers:
     proposal = propose(table)
     if proposal.certain:
         return {**proposal.columns, **headers}
-    found = " ".join(proposal.overrides())
-    came = ", ".join(list(table.columns)[:20]) or "none"
-    left = f"; no numbers in {', '.join(list(table.refused)[:20])}" if table.refused else ""
+    suggestion = " ".join(proposal.overrides())
+    available = ", ".join(list(table.columns)[:20]) or "none"
+    unusable = f"; no numbers in {', '.join(list(table.refused)[:20])}" if table.refused else ""
     raise LogError(
         f"{table.name}: data.columns.{missing[0]} is missing; "
-        + (f"perhaps {found}; " if found else "")
-        + f"its columns are {came}{left}"
+        + (f"perhaps {suggestion}; " if suggestion else "")
+        + f"its columns are {available}{unusable}"
     )
 
 
@@ -148,20 +146,20 @@ class _Clock:
     def bring(self, signal: str, header: str) -> Float[np.ndarray, "time"]:
         """Convert a signal to SI units at the times of `qpos`."""
         values = to_si(pick(self.table, header), self._ratio(signal, header))
-        own = self.table.times.get(header, self.header)
-        times = self._seconds(own)
+        clock = self.table.times.get(header, self.header)
+        times = self._seconds(clock)
         name = self.table.name
         if len(values) != len(times):
-            raise LogError(f"{name}: {header} has {len(values)} samples and {own} {len(times)}, expected as many")
-        if own == self.header or np.array_equal(times, self.time):
+            raise LogError(f"{name}: {header} has {len(values)} samples and {clock} {len(times)}, expected as many")
+        if clock == self.header or np.array_equal(times, self.time):
             return values
         if not len(times):
             raise LogError(f"{name}: {header} has no samples; record it, or name another column")
-        back = np.flatnonzero(np.diff(times) < 0)
-        if len(back):
+        backward = np.flatnonzero(np.diff(times) < 0)
+        if len(backward):
             raise LogError(
-                f"{name}: {own} runs backwards at sample {back[0] + 1} ({times[back[0]]:.6g} s, then "
-                f"{times[back[0] + 1]:.6g} s); expected increasing times of {header}, to interpolate it at the "
+                f"{name}: {clock} runs backwards at sample {backward[0] + 1} ({times[backward[0]]:.6g} s, then "
+                f"{times[backward[0] + 1]:.6g} s); expected increasing times of {header}, to interpolate it at the "
                 "times of qpos; cut the recording there, or write its messages in order"
             )
         held = signal in HELD
@@ -174,23 +172,23 @@ class _Clock:
         return np.interp(self.time, times, values)
 
     def _seconds(self, header: str) -> Float[np.ndarray, "rows"]:
-        """Return a time column in seconds since the first sample of `qpos`; whole numbers are subtracted exactly."""
+        """Return a time column in seconds since the first sample of `qpos`; subtract whole numbers exactly."""
         ticks = pick(self.table, header)
         with np.errstate(over="ignore"):  # `to_recording` refuses absurd times
             since = ticks - self.start
         return to_si(since, self._ratio("time", header))
 
     def _ratio(self, signal: str, header: str) -> tuple[float, float]:
-        given = self.units.get(signal) or self.table.units.get(header)
-        return ratio(signal, str(given)) if given else (1.0, 1.0)
+        unit = self.units.get(signal) or self.table.units.get(header)
+        return ratio(signal, str(unit)) if unit else (1.0, 1.0)
 
 
 def _check_clock(name: str, header: str, ticks: Real[np.ndarray, "time"], time: Float[np.ndarray, "time"]) -> None:
-    """Refuse a date written as one whole number (20240131235959), or a time in another unit, with a LogError."""
-    known = np.isfinite(ticks)
-    if known.sum() < 2:
+    """Raise LogError for a date written as one whole number (20240131235959) or a time in another unit."""
+    finite = np.isfinite(ticks)
+    if finite.sum() < 2:
         return
-    ticks, time = ticks[known], time[known]
+    ticks, time = ticks[finite], time[finite]
     day, clock = np.divmod(ticks, 10**6) if (ticks > 10**13).all() else (ticks, np.zeros(1))
     digits = (
         *((day // 10**4, 1900, 2099), (day // 100 % 100, 1, 12), (day % 100, 1, 31)),

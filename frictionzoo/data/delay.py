@@ -1,17 +1,17 @@
 """Estimate of the delay from a command to its effect.
 
-Unlike a sensor's delay, it cannot be read from a correlation: inertia and damping cause a lag too.
+Inertia and damping cause a lag too, so a correlation cannot show the delay.
 
-For a torque command, the acceleration is regressed on the delayed command, the velocity, its sign and gravity, all
-from signals behind the same zero-phase filter. The delay with the smallest residual is the estimate.
+Torque command: the acceleration is regressed on the delayed command, the velocity, its sign and gravity, all from
+signals behind the same zero-phase filter. The delay with the smallest residual is the estimate.
 
-A position command acts through a controller. In smooth motion its delay looks like additional damping; only motion
+Position command: it acts through a controller. In smooth motion its delay looks like additional damping; only motion
 over seconds separates the two. Therefore the drive
 
     qacc = stiffness * e(t - delay) - damping * qvel - dry * sign(qvel) - gravity * sin(qpos) + offset
 
-is rolled out from measured states. `e` is the difference of command and position, limited as a motor's voltage.
-Damped Gauss-Newton fits the delay and six parameters: the five above and the limit.
+is rolled out from measured states. `e` is the difference of command and position, limited as a motor's voltage. Damped
+Gauss-Newton fits the delay and six parameters: the five above and the limit.
 """
 
 from collections.abc import Sequence
@@ -49,12 +49,9 @@ DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 0.2 * STEP])  # step
 
 
 class Delay(NamedTuple):
-    """Delay from a command to its effect.
+    """Delay from a command to its effect: median `seconds` and quartiles `low`, `high` over recordings or groups [s].
 
     Attributes:
-        seconds: Median over recordings or groups [s].
-        low: Lower quartile [s].
-        high: Upper quartile [s].
         estimates: Number of recordings or groups with an estimate.
         command: Detected type of the command, `position` or `torque`.
     """
@@ -83,32 +80,30 @@ class Windows(NamedTuple):
 
 
 def estimate_delay(recordings: Sequence[Recording], joint: int = 0) -> Delay | None:
-    """Estimate the delay from a command to its effect.
-
-    The command is held between samples; the delay counts from the sample on. Under a position command, recordings
-    whose fields contain the same numbers (gains, payload) share one simple drive.
+    """Estimate the delay from a command to its effect, counted from the sample on; the command is held between samples.
 
     Args:
-        recordings: Recordings of one drive before cleaning.
+        recordings: Recordings of one drive before cleaning. Under a position command, those whose fields contain the
+            same numbers (gains, payload) share one simple drive.
         joint: Column of qpos and ctrl.
 
     Returns:
         The delay; None if recordings are too short, contain too little motion or give scattered delays.
     """
     usable = [recording for recording in recordings if recording.signals["ctrl"].shape[1] > joint]
-    follows = [_correlate(recording, joint) for recording in usable]
-    if not np.isfinite(follows).any():
+    correlations = [_correlate(recording, joint) for recording in usable]
+    if not np.isfinite(correlations).any():
         return None
-    command = "position" if np.nanmedian(follows) > FOLLOWS else "torque"
-    find = _delays_of_position if command == "position" else _delays_of_torque
-    delays = find(usable, joint)
-    told = delays[(delays > EARLIEST + MARGIN) & (delays < LATEST - MARGIN)]
-    if len(told) < max(1, 0.5 * len(delays)):
+    command = "position" if np.nanmedian(correlations) > FOLLOWS else "torque"
+    estimate = _delays_of_position if command == "position" else _delays_of_torque
+    delays = estimate(usable, joint)
+    identified = delays[(delays > EARLIEST + MARGIN) & (delays < LATEST - MARGIN)]
+    if len(identified) < max(1, 0.5 * len(delays)):
         return None
     # A held command, drawn as straight lines between samples, acts half an interval early.
     interval = float(np.median([np.median(np.diff(recording.time)) for recording in usable]))
-    low, middle, high = (float(value) for value in np.quantile(told, [0.25, 0.5, 0.75]) - interval / 2)
-    return Delay(middle, low, high, len(told), command) if high - low < SPREAD else None
+    low, middle, high = (float(value) for value in np.quantile(identified, [0.25, 0.5, 0.75]) - interval / 2)
+    return Delay(middle, low, high, len(identified), command) if high - low < SPREAD else None
 
 
 def _correlate(recording: Recording, joint: int) -> float:
@@ -119,13 +114,13 @@ def _correlate(recording: Recording, joint: int) -> float:
 
 
 def _delays_of_torque(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "recordings"]:
-    """Estimate the delay of each recording under a torque command [s]; NaN if it is not identifiable."""
+    """Estimate the delay of each recording under a torque command [s]; NaN if not identifiable."""
     chosen = np.unique(np.linspace(0, len(recordings) - 1, RECORDINGS).astype(int))
     return np.array([_regress(recordings[i], joint) for i in chosen])
 
 
 def _regress(recording: Recording, joint: int) -> float:
-    """Return the delay of a torque command that explains the acceleration best [s]; NaN if none does."""
+    """Return the torque command's delay that explains the acceleration best [s]; NaN if none does."""
     qpos, ctrl = (recording.signals[name][:, joint] for name in ("qpos", "ctrl"))
     time, qpos, ctrl = regular_stretch(recording.time, repair_spikes(qpos), ctrl)
     if len(time) < 100:
@@ -138,13 +133,13 @@ def _regress(recording: Recording, joint: int) -> float:
     moving = np.abs(velocity) > MOVING * np.abs(velocity).max()
     others = np.stack([velocity, np.sign(velocity), gravity, np.ones_like(velocity)], axis=1)[moving]
     delays = np.arange(EARLIEST, LATEST, max(timestep, 0.001))
-    late = (scipy.signal.sosfiltfilt(sections, np.interp(time - delay, time, ctrl))[moving] for delay in delays)
-    left = np.array([_unexplained(acceleration[moving], command, others) for command in late])
-    at = int(np.argmin(left))
-    if left[at] > UNEXPLAINED or at in (0, len(left) - 1):
+    delayed = (scipy.signal.sosfiltfilt(sections, np.interp(time - delay, time, ctrl))[moving] for delay in delays)
+    residuals = np.array([_unexplained(acceleration[moving], command, others) for command in delayed])
+    best = int(np.argmin(residuals))
+    if residuals[best] > UNEXPLAINED or best in (0, len(residuals) - 1):
         return np.nan
-    before, least, after = left[at - 1 : at + 2]
-    return float(delays[at] + 0.5 * (before - after) / (before - 2 * least + after) * (delays[1] - delays[0]))
+    before, least, after = residuals[best - 1 : best + 2]
+    return float(delays[best] + 0.5 * (before - after) / (before - 2 * least + after) * (delays[1] - delays[0]))
 
 
 def _unexplained(acceleration: Signal, command: Signal, others: Float[np.ndarray, "time terms"]) -> float:
@@ -155,14 +150,13 @@ def _unexplained(acceleration: Signal, command: Signal, others: Float[np.ndarray
 
 
 def _delays_of_position(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "groups"]:
-    """Estimate the delay of each group under a position command [s]; NaN if the simple drive does not fit."""
+    """Estimate each group's delay under a position command [s]; NaN if the simple drive does not fit."""
     windows = _choose_windows(recordings, joint)
     delays, errors = _fit(windows) if windows else np.zeros((2, 0))
     return np.where(errors < FIT, delays, np.nan)
 
 
 def _choose_windows(recordings: Sequence[Recording], joint: int) -> Windows | None:
-    """Choose the windows with the longest travel in each group of recordings."""
     duration = float(np.median([recording.time[-1] - recording.time[0] for recording in recordings]))
     length = round(min(WINDOW, duration - 2 * BEFORE) / STEP)
     if length * STEP < SHORTEST:
@@ -202,13 +196,13 @@ def _cut(recording: Recording, joint: int, length: int) -> list[Cut]:
     finite = np.isfinite(qpos) & np.isfinite(ctrl) & np.isfinite(enable)
     windows = []
     for first, last in pairwise([0, *find_breaks(time, GAP), len(time)]):
-        new = first + np.flatnonzero((np.diff(time[first:last], prepend=-np.inf) > 0) & finite[first:last])
+        valid = first + np.flatnonzero((np.diff(time[first:last], prepend=-np.inf) > 0) & finite[first:last])
         grid = np.arange(float(time[first]), float(time[last - 1]), STEP)
-        if len(new) < 2 or len(grid) < before + length:
+        if len(valid) < 2 or len(grid) < before + length:
             continue
-        q, u, on = (np.interp(grid, time[new], values[new]) for values in (qpos, ctrl, enable))
-        sampled = float(np.median(np.diff(time[new])))
-        v = estimate_velocity(q, STEP, min(0.15 / sampled, 15.0), 2, recording.name)
+        q, u, on = (np.interp(grid, time[valid], values[valid]) for values in (qpos, ctrl, enable))
+        interval = float(np.median(np.diff(time[valid])))
+        v = estimate_velocity(q, STEP, min(0.15 / interval, 15.0), 2, recording.name)
         for start in range(before, len(grid) - length + 1, length):
             kept = slice(start - before, start + length)
             if (on[kept] > 0.5).all():
@@ -247,7 +241,7 @@ def _linearise(
     Float[np.ndarray, "groups parameters"],
     Float[np.ndarray, "groups parameters parameters"],
 ]:
-    """Return each group's mean Huber loss, with its Gauss-Newton gradient and Hessian by finite differences."""
+    """Return each group's mean Huber loss, with Gauss-Newton gradient and Hessian by finite differences."""
     shifted = parameters[:, None] + np.vstack([np.zeros(len(DIFFERENCES)), np.diag(DIFFERENCES)])
     error = (_simulate(shifted[windows.group], windows) - windows.qpos[:, None]) / spread[:, None, None]
     error = np.nan_to_num(error, nan=1e6, posinf=1e6, neginf=-1e6).clip(-1e6, 1e6)
@@ -269,17 +263,17 @@ def _simulate(
     stiffness, damping, dry, limit = np.exp(np.moveaxis(parameters[..., :LOGARITHMIC], -1, 0))
     gravity, offset, delay = np.moveaxis(parameters[..., LOGARITHMIC:], -1, 0)
     start = round(BEFORE / STEP) - delay / STEP
-    whole = np.floor(start).astype(int)
-    part, row, last = start - whole, np.arange(len(start))[:, None], windows.ctrl.shape[1] - 1
+    first_index = np.floor(start).astype(int)
+    fraction, row, last = start - first_index, np.arange(len(start))[:, None], windows.ctrl.shape[1] - 1
     q, v = (np.broadcast_to(x[:, None], start.shape).copy() for x in (windows.qpos[:, 0], windows.qvel))
     positions = np.empty((windows.qpos.shape[1], *start.shape))
-    slow, held = 1 / (1 + STEP * damping), STEP * dry
+    damping_factor, dry_step = 1 / (1 + STEP * damping), STEP * dry
     for i in range(len(positions)):
         positions[i] = q
-        at = np.minimum(whole + i, last)
-        u = windows.ctrl[row, at] * (1 - part) + windows.ctrl[row, np.minimum(at + 1, last)] * part
+        index = np.minimum(first_index + i, last)
+        u = windows.ctrl[row, index] * (1 - fraction) + windows.ctrl[row, np.minimum(index + 1, last)] * fraction
         drive = np.clip(u - q, -limit, limit)
-        v = (v + STEP * (stiffness * drive - gravity * np.sin(q) + offset)) * slow
-        v -= np.clip(v, -held, held)
+        v = (v + STEP * (stiffness * drive - gravity * np.sin(q) + offset)) * damping_factor
+        v -= np.clip(v, -dry_step, dry_step)
         q = q + STEP * v
     return np.moveaxis(positions, 0, -1)

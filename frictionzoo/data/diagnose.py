@@ -31,10 +31,9 @@ class Timing(NamedTuple):
     """Clock of a recording.
 
     Attributes:
-        samples: Number of samples.
         duration: Sum of the positive intervals [s].
         interval: Median interval between samples [s].
-        jitter: Share of the intervals, gaps excluded, that deviate from the median by more than `JITTER` allows.
+        jitter: Share of the intervals, gaps excluded, that deviate from the median by more than `JITTER`.
         worst: Largest deviation of an interval from the median, gaps excluded, as a share of the median.
         duplicates: Samples that repeat the previous sample's time.
         missing: Samples missing in intervals longer than 1.5 medians and shorter than a gap.
@@ -88,7 +87,7 @@ class Command:
 
     Attributes:
         range: Lowest and highest command.
-        saturated: Share of the samples at exactly the lowest or the highest command.
+        saturated: Share of the samples at exactly one of these limits.
     """
 
     range: tuple[float, float]
@@ -120,10 +119,7 @@ class Diagnosis:
 
     Attributes:
         name: Origin, for messages.
-        timing: Clock.
         lost: Number of samples in which a signal is not finite.
-        joints: Position and velocity of each joint.
-        commands: Command of each actuator.
         supply: Supply voltage; None if not recorded.
         enabled: Share of the samples with the drive enabled; None if not recorded.
     """
@@ -141,8 +137,7 @@ def diagnose(recording: Recording) -> Diagnosis:
     """Diagnose a recording before cleaning; it may have jitter, gaps, NaN and spikes.
 
     Raises:
-        LogError: The recording is incomplete (see `refuse_incomplete`), or a joint or command has too few finite
-            samples.
+        LogError: `refuse_incomplete` refuses the recording, or a joint or command has too few finite samples.
     """
     refuse_incomplete(recording)
     signals, enable = recording.signals, recording.signals.get("enable")
@@ -163,8 +158,8 @@ def refuse_incomplete(recording: Recording) -> None:
     """Refuse a recording that no part of the program can use.
 
     Raises:
-        LogError: qpos or ctrl is missing, shapes disagree, a time is not finite, or there are fewer than two samples
-            at increasing times.
+        LogError: qpos or ctrl is missing, shapes disagree, a time is not finite, or fewer than two samples have
+            increasing times.
     """
     name, samples = recording.name, len(recording.time)
     for signal in ("qpos", "ctrl"):
@@ -182,14 +177,14 @@ def refuse_incomplete(recording: Recording) -> None:
             "or set it to [] to omit it"
         )
     if not np.isfinite(recording.time).all():
-        at = int(np.argmin(np.isfinite(recording.time)))
-        raise LogError(f"{name}: time is NaN or infinite at sample {at}, expected seconds; cut or repair the file")
+        sample = int(np.argmin(np.isfinite(recording.time)))
+        raise LogError(f"{name}: time is NaN or infinite at sample {sample}, expected seconds; cut or repair the file")
     if samples < 2 or not (np.diff(recording.time) > 0).any():
         raise LogError(f"{name}: {samples} samples at one time, expected at least 2 in a row; check data.columns.time")
 
 
 def measure_timing(time: Signal) -> Timing:
-    """Return the clock of a recording from its sample times [s], with at least one positive interval."""
+    """Return a recording's clock from its sample times [s], with at least one positive interval."""
     steps = np.diff(time)
     forward = steps[steps > 0]
     interval = float(np.median(forward))
@@ -214,8 +209,8 @@ def _diagnose_joint(recording: Recording, position: Signal, measured: Signal | N
         raise LogError(f"{recording.name}: qpos holds {len(finite)} finite samples; check data.columns.qpos")
     smooth = repair_spikes(position)
     velocity = derive_velocity(recording.time, smooth)
-    found = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
-    lag, scale = found or (None, None)
+    match = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
+    lag, scale = match or (None, None)
     low, high = _range(velocity)
     top = max(-low, high)
     return Joint(
@@ -245,9 +240,9 @@ def _diagnose_supply(supply: Float[np.ndarray, "time columns"] | None, fields: M
         return None
     field = next((name for name in VOLTAGES if isinstance(fields.get(name), int | float)), None)
     stated = None if field is None else float(fields[field])
-    median, known = float(np.nanmedian(supply)), supply[np.isfinite(supply)]
-    outliers = int((np.abs(known - median) > OUTLIER * abs(median)).sum())
-    return Supply(median, (float(known.min()), float(known.max())), outliers, field, stated)
+    median, voltages = float(np.nanmedian(supply)), supply[np.isfinite(supply)]
+    outliers = int((np.abs(voltages - median) > OUTLIER * abs(median)).sum())
+    return Supply(median, (float(voltages.min()), float(voltages.max())), outliers, field, stated)
 
 
 def _range(values: Float[np.ndarray, "samples"]) -> tuple[float, float]:

@@ -84,7 +84,6 @@ class Emps(Source):
 
 
 def _read(path: Path) -> bytes:
-    """Return the file's bytes; LogError if it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -96,19 +95,18 @@ def _read(path: Path) -> bytes:
 
 
 def _columns(path: Path, content: bytes) -> list[Signal]:
-    """Return the variables of a MATLAB file that a log needs, each one column of the same length."""
     try:
         stored = scipy.io.loadmat(io.BytesIO(content))
-    # SciPy raises many types of errors on a damaged file (ValueError, TypeError, zlib.error, ...).
+    # SciPy raises many types of errors on a damaged file: ValueError, TypeError, zlib.error, ...
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"{path}: not a readable MATLAB file ({reason}); download it again from {OBTAIN}") from None
-    came = [name for name in stored if not name.startswith("__")]
-    missing = [name for name in VARIABLES if name not in came]
+    available = [name for name in stored if not name.startswith("__")]
+    missing = [name for name in VARIABLES if name not in available]
     if missing:
         raise LogError(
-            f"{path}: no variable {', '.join(missing)}, it holds {', '.join(came) or 'none'}; "
-            f"{closest(missing[0], came)}; expected t [s], qm [m] and vir [V]"
+            f"{path}: no variable {', '.join(missing)}, it holds {', '.join(available) or 'none'}; "
+            f"{closest(missing[0], available)}; expected t [s], qm [m] and vir [V]"
         )
     for name in VARIABLES:
         kind, shape, times = stored[name].dtype, stored[name].shape, stored["t"].shape

@@ -1,4 +1,4 @@
-"""Families of headers that name the same signal, one header a joint, and the choice of one family a signal."""
+"""Families of headers that name one signal, one header a joint, and the choice of one family a signal."""
 
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -20,24 +20,19 @@ Families = dict[tuple[int, str], list[str]]
 def find_columns(
     table: Table, joints: Sequence[str], said: Collection[str]
 ) -> tuple[dict[str, tuple[str, ...]], list[str]]:
-    """Find the headers of each signal, in the table's order, and a sentence on each.
-
-    Args:
-        table: Contents of a file.
-        joints: Names of the joints whose columns are wanted; empty if unknown.
-        said: Signals whose columns a user set.
+    """Find the headers of each signal, in the table's order, and a sentence on each; arguments as `propose`.
 
     Raises:
-        LogError: Headers of a signal not in `said` name only some of the joints, or a joint twice.
+        LogError: As `propose`.
     """
     columns, reasons = {}, []
     names = {header: name for header in table.columns if (name := find_name(header, tuple(joints)))}
     families = _families(table, names)
     for signal in SIGNALS:
-        found = families.get(signal)
-        if found:
+        candidates = families.get(signal)
+        if candidates:
             try:
-                headers = tuple(_choose(table, signal, found, names, joints))
+                headers = tuple(_choose(table, signal, candidates, names, joints))
             except LogError:
                 if signal in said:
                     continue
@@ -45,36 +40,35 @@ def find_columns(
             if signal in BESIDE and len(headers) not in (1, len(joints) or len(columns.get("qpos", ()))):
                 continue
             columns[signal] = headers
-            others = [other[0] for other in found.values() if not {*other} & {*headers}]
+            others = [other[0] for other in candidates.values() if not {*other} & {*headers}]
             also = f"; also possible: {', '.join(others)}" if others else ""
             reasons.append(f"{signal}: {', '.join(headers)}, by name{also}")
-    own = table.times.get(columns.get("qpos", ("",))[0])
-    return ({**columns, "time": (own,)} if own else columns), reasons
+    time_header = table.times.get(columns.get("qpos", ("",))[0])
+    return ({**columns, "time": (time_header,)} if time_header else columns), reasons
 
 
 def _choose(
     table: Table, signal: str, found: Families, names: Mapping[str, Named], joints: Sequence[str]
 ) -> Sequence[str]:
-    """Return the headers of a signal: those with joint names if there are any, otherwise the family of lowest rank."""
+    """Return a signal's headers: those with joint names if there are any, otherwise the family of lowest rank."""
     best = found[min(found, key=lambda key: key[0])]
     if signal == "time" or best[0] not in names:
         return best[:1] if signal == "time" else best
-    everyone = list(range(len(joints)))
-    complete = [headers for headers in found.values() if sorted(names[header].joint for header in headers) == everyone]
+    numbers = list(range(len(joints)))
+    complete = [headers for headers in found.values() if sorted(names[header].joint for header in headers) == numbers]
     if len(complete) == 1:
         return complete[0]
-    every = sorted((header for headers in found.values() for header in headers), key=list(table.columns).index)
+    all_headers = sorted((header for headers in found.values() for header in headers), key=list(table.columns).index)
     try:
-        pair(every, joints)
+        pair(all_headers, joints)
     except LogError as error:
         option = f"data.columns.{signal}"
         needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
         raise LogError(f"{table.name}: {signal} {error}; set {option} to the columns{needed}") from None
-    return every
+    return all_headers
 
 
 def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
-    """Return the candidate families of each signal."""
     families: dict[str, Families] = {}
     joints = {} if names else _find_joints(table)
     for header in sorted(table.columns, key=lambda header: joints.get(header, ("", 0))[1]):
@@ -123,17 +117,17 @@ def is_usable(table: Table, signal: str, headers: Sequence[str]) -> bool:
     finite = [np.isfinite(table.columns[header]) for header in headers]
     if signal not in BESIDE:
         return True
-    # A single value is no sampled gain.
-    sampled = all(len(of) > 1 for of in finite)
-    return sampled and all(of.all() if signal == "torque" else of.any() for of in finite)
+    # A single value is not a sampled gain.
+    sampled = all(len(is_finite) > 1 for is_finite in finite)
+    return sampled and all(is_finite.all() if signal == "torque" else is_finite.any() for is_finite in finite)
 
 
 def _pick_torque(efforts: Families) -> Families:
     """Return the family that is certainly the measured joint torque; empty in case of doubt."""
     words = {key: {*list_words(split(key[1]))} for key in efforts}
-    found = {key: headers for key, headers in efforts.items() if TORQUE & words[key] and not OTHER_TORQUE & words[key]}
-    plain = {key: headers for key, headers in found.items() if MEASURED & words[key]}
-    return found if len(found) == 1 else plain if len(plain) == 1 else {}
+    likely = {key: headers for key, headers in efforts.items() if TORQUE & words[key] and not OTHER_TORQUE & words[key]}
+    measured = {key: headers for key, headers in likely.items() if MEASURED & words[key]}
+    return likely if len(likely) == 1 else measured if len(measured) == 1 else {}
 
 
 def _find_joints(table: Table) -> dict[str, tuple[str, int]]:
@@ -145,10 +139,10 @@ def _find_joints(table: Table) -> dict[str, tuple[str, int]]:
     for names in _candidates(table).values():
         shared = [_stems(table, name) for name in names]
         stems = set.intersection(*map(set, shared))
-        told = {role[0] for role in map(_find_role, stems) if role}
-        if told & {"ctrl", "ctrl_velocity", "ctrl_torque", "effort"} and len(names) > 1:
-            found = {of[stem]: (stem, number) for number, of in enumerate(shared) for stem in stems}
-            best = found if len(found) > len(best) else best
+        signals = {role[0] for role in map(_find_role, stems) if role}
+        if signals & {"ctrl", "ctrl_velocity", "ctrl_torque", "effort"} and len(names) > 1:
+            named = {headers[stem]: (stem, number) for number, headers in enumerate(shared) for stem in stems}
+            best = named if len(named) > len(best) else best
     return best
 
 
@@ -168,7 +162,6 @@ def _candidates(table: Table) -> dict[str, list[str]]:
 
 
 def _stems(table: Table, name: str) -> dict[str, str]:
-    """Return the headers that contain this name, by stem."""
     place = re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])")
     return {place.sub("*", header, count=1): header for header in table.columns if place.search(header)}
 

@@ -66,16 +66,16 @@ class Files(Source):
             raise ConfigError(f"data.origin={origin}: unknown; {closest(str(origin), filter(None, ORIGINS))}, or null")
         self.name, self.folder, self.source, self.format = name, folder, source, format
         self.train, self.test = (
-            [] if given in (None, "") else list(list_names(option, given))
-            for option, given in (("train", train), ("test", test))
+            [] if value in (None, "") else list(list_names(option, value))
+            for option, value in (("train", train), ("test", test))
         )
-        self.columns = {s: list_names(f"columns.{s}", given) for s, given in _signals("columns", columns).items()}
+        self.columns = {s: list_names(f"columns.{s}", value) for s, value in _signals("columns", columns).items()}
         self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
         self.sign = _signs(sign)
         for signal, unit in self.units.items():
             ratio(signal, unit)  # refuses an unknown unit, even of a signal that no file has
         fields, where, exclude = (
-            _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
+            _mapping(option, value) for option, value in (("fields", fields), ("where", where), ("exclude", exclude))
         )
         self.selection = Selection(fields, fields_from_name, where, exclude)
         self.inputs = _mapping("inputs", inputs)
@@ -110,10 +110,7 @@ class Files(Source):
         return self.read().divide()
 
     def read(self, tables: Sequence[Table] = ()) -> Logs:
-        """Read and clean the recordings without dividing them.
-
-        Args:
-            tables: Further training recordings from memory.
+        """Read and clean the recordings, and further training recordings `tables` from memory, without dividing them.
 
         Raises:
             LogError: A file cannot be read or lacks a column that `columns` names, or cleaning leaves no log.
@@ -130,116 +127,113 @@ class Files(Source):
         return Logs(self.name, tuple(recordings), cleaned, len(test), self.split, section)
 
     def _interpret_all(self, tables: Sequence[Table] = ()) -> tuple[list[Recording], list[Recording]]:
-        """Return the recordings for training and the test-only recordings."""
         if not self.train and not tables:
             raise LogError("data.train=[]: no recording; name files, as in data.train=[a.csv] data.test=[b.csv]")
         train, test = [*self._tables(self.train), *tables], self._tables(self.test)
         held_out = {table.name for table in test}
-        twice = [table.name for table in train if table.name in held_out]
-        if twice:
-            raise LogError(f"{twice[0]}: in data.train and in data.test; expected test recordings that do not train")
+        shared = [table.name for table in train if table.name in held_out]
+        if shared:
+            raise LogError(f"{shared[0]}: in data.train and in data.test; expected test recordings that do not train")
         recordings = self._interpret(self.selection.keep(train + test))
-        first = [recording for recording in recordings if recording.name not in held_out]
-        last = [recording for recording in recordings if recording.name in held_out]
-        if not first or (held_out and not last):
-            part = "test" if first else "train"
+        training = [recording for recording in recordings if recording.name not in held_out]
+        testing = [recording for recording in recordings if recording.name in held_out]
+        if not training or (held_out and not testing):
+            part = "test" if training else "train"
             raise LogError(f"{self.name}: data.where and data.exclude leave no recording to {part}")
-        return first, last
+        return training, testing
 
     def _tables(self, names: Sequence[str]) -> list[Table]:
-        """Read the tables of the named files, each recording once."""
         paths = find_files(names, self.folder, self.source) if names else []
         tables = [table for path in paths for table in read_tables(path, self.format)]
         return list({table.name: table for table in tables}.values())
 
     def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
-        """Convert tables to recordings; missing options are inferred once for all tables with the same headers."""
-        said: dict[frozenset[str], tuple[dict[str, Any], dict[str, str]]] = {}
+        """Convert tables to recordings; infer missing options once for all tables with the same headers."""
+        inferred: dict[frozenset[str], tuple[dict[str, Any], dict[str, str]]] = {}
         for table in tables:
             headers = frozenset(table.columns)
-            if headers not in said:
-                said[headers] = self._complete(table)
-        found = [to_recording(table, *said[frozenset(table.columns)], self.simulated, self.columns) for table in tables]
+            if headers not in inferred:
+                inferred[headers] = self._complete(table)
+        recordings = [
+            to_recording(table, *inferred[frozenset(table.columns)], self.simulated, self.columns) for table in tables
+        ]
         turned = [
-            replace(each, signals={signal: self._turn(each, signal) for signal in each.signals}) for each in found
+            replace(recording, signals={signal: self._turn(recording, signal) for signal in recording.signals})
+            for recording in recordings
         ]
         return self._arrange(turned) if self.joints else turned
 
     def _turn(self, recording: Recording, signal: str) -> np.ndarray:
-        """Return a signal times its sign, or each column times its sign from a list."""
+        """Return a signal times its sign, or times one sign a column."""
         sign, values = self.sign.get(signal, 1), recording.signals[signal]
         if isinstance(sign, list | tuple):
-            came, columns = f"data.sign.{signal}={list(sign)}", recording.columns[signal]
+            setting, columns = f"data.sign.{signal}={list(sign)}", recording.columns[signal]
             if len(sign) != values.shape[1]:
                 expected = f"expected {values.shape[1]}, one a column"
-                raise ConfigError(f"{came}: {len(sign)} signs, {expected} of {recording.name}")
+                raise ConfigError(f"{setting}: {len(sign)} signs, {expected} of {recording.name}")
             if not columns.listed and has_names(columns.headers):
                 raise ConfigError(
-                    f"{came}: one sign a column, and the columns of {recording.name} are found by their names; set "
+                    f"{setting}: one sign a column, and the columns of {recording.name} are found by their names; set "
                     f"data.columns.{signal} to them in the order of the signs"
                 )
         return np.asarray(sign) * values
 
     def _arrange(self, recordings: Sequence[Recording]) -> list[Recording]:
-        """Sort the columns of each recording by joint."""
         arranged, lines = [], []
-        for each in recordings:
-            found = arrange(each.name, each.columns, self.joints)
-            lines += say_order(each.columns, found)
-            signals = {signal: each.signals[signal][:, list(order)] for signal, (order, _) in found.items()}
-            arranged.append(replace(each, signals=signals, columns=reorder(each.columns, found)))
+        for recording in recordings:
+            pairings = arrange(recording.name, recording.columns, self.joints)
+            lines += say_order(recording.columns, pairings)
+            signals = {signal: recording.signals[signal][:, list(order)] for signal, (order, _) in pairings.items()}
+            arranged.append(replace(recording, signals=signals, columns=reorder(recording.columns, pairings)))
         for line in dict.fromkeys(lines):
             _log.info("%s: %s", self.name, line)
         return arranged
 
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
-        """Return columns and units; those missing in the options are inferred."""
         proposal = propose(table, self.joints, self.columns)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
         # An inferred unit holds only for the inferred headers, which the options may name too.
-        seen = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
-        units = {signal: unit for signal, unit in proposal.units.items() if signal in seen - set(self.units)}
-        own = all(headers == (signal,) for signal, headers in columns.items())
-        if not own or units:
+        same = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
+        units = {signal: unit for signal, unit in proposal.units.items() if signal in same - set(self.units)}
+        already_named = all(headers == (signal,) for signal, headers in columns.items())
+        if not already_named or units:
             level = logging.INFO if proposal.certain else logging.WARNING
-            came = {signal: Columns(headers) for signal, headers in columns.items()}
+            origins = {signal: Columns(headers) for signal, headers in columns.items()}
             if self.joints:
-                came = reorder(came, arrange(table.name, came, self.joints))
-            taken = " ".join(Proposal({signal: of.headers for signal, of in came.items()}, units).overrides())
-            _log.log(level, "%s: inferred from names and numbers in %s: %s", self.name, table.name, taken)
+                origins = reorder(origins, arrange(table.name, origins, self.joints))
+            text = " ".join(Proposal({signal: origin.headers for signal, origin in origins.items()}, units).overrides())
+            _log.log(level, "%s: inferred from names and numbers in %s: %s", self.name, table.name, text)
         return {**columns, **self.columns}, {**units, **self.units}
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
-        """Clean a recording to logs, and add its payload and the inputs of the actuator law."""
         logs = []
         for log in clean(recording, self.clean):
             constants = {
-                name: np.full((log.samples, 1), _constant(recording, name, given))
-                for name, given in self.inputs.items()
+                name: np.full((log.samples, 1), _constant(recording, name, value))
+                for name, value in self.inputs.items()
             }
-            more = {"payload": payload, "extras": {**log.extras, **constants}, "metadata": recording.fields}
-            logs.append(replace(log, **more, units=self.units))
+            changes = {"payload": payload, "extras": {**log.extras, **constants}, "metadata": recording.fields}
+            logs.append(replace(log, **changes, units=self.units))
         return logs
 
     def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
-        """Log one line on the cleaning of the data set; LogError if no log remains."""
+        """Log one line on the cleaning; LogError if no log remains."""
         kept = [log for cleaned in logs for log in cleaned]
-        lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
+        dropped = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
         if not kept:
             raise LogError(
-                f"{lost[0]}: cleaning leaves nothing of it, nor of {len(lost) - 1} others; expected "
+                f"{dropped[0]}: cleaning leaves nothing of it, nor of {len(dropped) - 1} others; expected "
                 f"{self.clean.shortest:g} s (data.clean.shortest) without gaps and NaN, and no spikes with "
                 "data.clean.spikes=drop; check the file or change data.clean"
             )
-        told = [f"{len(lost)} left out by data.clean, such as {lost[0]}"] if lost else []
-        told += summarise_repairs(kept)
-        if told:
+        sentences = [f"{len(dropped)} left out by data.clean, such as {dropped[0]}"] if dropped else []
+        sentences += summarise_repairs(kept)
+        if sentences:
             counts = len(recordings), len(kept)
-            _log.info("%s: recordings read: %d; logs: %d; %s", self.name, *counts, "; ".join(told))
+            _log.info("%s: recordings read: %d; logs: %d; %s", self.name, *counts, "; ".join(sentences))
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:
-    """Return the value of an input, a number or the name of a field."""
     if not isinstance(given, str):
         return float(given)
     if given not in recording.fields:
@@ -262,13 +256,12 @@ def _signs(given: Mapping[str, Any]) -> dict[str, Any]:
     for signal, sign in given.items():
         if signal not in TURNED:
             raise ConfigError(f"data.sign.{signal}: unknown signal; {closest(str(signal), TURNED)}")
-        if not all(one in (1, -1) for one in (sign if isinstance(sign, list | tuple) else [sign])):
+        if not all(factor in (1, -1) for factor in (sign if isinstance(sign, list | tuple) else [sign])):
             raise ConfigError(f"data.sign.{signal}={sign}: expected 1 or -1, or a list of them, one a column")
     return dict(given)
 
 
 def _signals(option: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the options of signals without those that are None."""
     given = given or {}
     for signal in given:
         if signal not in SIGNALS:

@@ -13,12 +13,7 @@ from frictionzoo.data.split import Split
 
 
 class InMemory(Source):
-    """Placeholder in a run's configuration for recordings from memory, which cannot be read again.
-
-    Args:
-        names: Names of the recordings.
-        options: Options they were read with.
-    """
+    """Placeholder in a run's configuration for recordings from memory, not readable again; `options` are unused."""
 
     def __init__(self, names: Sequence[str], **options: Any) -> None:
         self.names: Sequence[str] = names
@@ -36,7 +31,6 @@ class Logs:
     """Recordings with their cleaned logs; iteration yields the logs.
 
     Attributes:
-        name: Name of the data set.
         recordings: Recordings before cleaning, test-only recordings last.
         cleaned: Logs of each recording, one for each stretch without a gap.
         held_out: Number of test-only recordings; 0 if `split` divides the recordings.
@@ -59,14 +53,14 @@ class Logs:
             LogError: There are no logs.
             ConfigError: An element is not a `Log`.
         """
-        held: list[Any] = list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
-        if not held:
+        items: list[Any] = list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
+        if not items:
             raise LogError("logs: none, expected at least one recording")
-        for log in held:
+        for log in items:
             refuse_unlike("logs", log, Log, "a Log, or the result of read('a.csv')")
-        recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in held)
-        section = describe(InMemory([log.name for log in held]))
-        return cls("logs in memory", recordings, tuple((log,) for log in held), 0, Split(), section)
+        recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in items)
+        section = describe(InMemory([log.name for log in items]))
+        return cls("logs in memory", recordings, tuple((log,) for log in items), 0, Split(), section)
 
     def __iter__(self) -> Iterator[Log]:
         return (log for pieces in self.cleaned for log in pieces)
@@ -75,14 +69,10 @@ class Logs:
         return sum(map(len, self.cleaned))
 
     def __repr__(self) -> str:
-        """Return a line for each log, followed by its repairs."""
-        return "\n".join(line for log in self for line in (_describe(log), *(f"  {each}" for each in log.repairs)))
+        return "\n".join(line for log in self for line in (_describe(log), *(f"  {repair}" for repair in log.repairs)))
 
     def dividing(self, test: float | Split | None) -> "Logs":
-        """Return the same recordings with another division.
-
-        Args:
-            test: Share at the end of each recording, or a `Split`; None for no change.
+        """Return the recordings with another division: a test share at the end of each, or a `Split`; None: no change.
 
         Raises:
             ConfigError: `test` is invalid, or some recordings are test-only.
@@ -93,8 +83,8 @@ class Logs:
         if not isinstance(test, Split) and not 0 < test < 1:
             raise ConfigError(f"test={test:g}; expected a share between 0 and 1, or a Split")
         if self.held_out:
-            why = f"because {self.held_out} of the recordings were read as test data"
-            raise ConfigError(f"test={test}: expected None, {why}; omit one of the two")
+            reason = f"because {self.held_out} of the recordings were read as test data"
+            raise ConfigError(f"test={test}: expected None, {reason}; omit one of the two")
         split = test if isinstance(test, Split) else Split(test_share=test)
         return replace(self, split=split, section={**self.section, "split": describe(asdict(split))})
 
@@ -116,5 +106,5 @@ class Logs:
 def _describe(log: Log) -> str:
     seconds, joints = log.samples * log.timestep, log.qpos.shape[1]
     extras = f", with {', '.join(log.extras)}" if log.extras else ""
-    of = f" of {joints} joints" if joints > 1 else ""
-    return f"{log.name}: {seconds:.4g} s, {log.samples} samples{of} every {log.timestep:.4g} s{extras}"
+    joint_count = f" of {joints} joints" if joints > 1 else ""
+    return f"{log.name}: {seconds:.4g} s, {log.samples} samples{joint_count} every {log.timestep:.4g} s{extras}"

@@ -1,4 +1,4 @@
-"""Matching of columns to joints: by the names in the headers, or by position if the headers have no names."""
+"""Matching of columns to joints: by names in the headers, otherwise by position."""
 
 import re
 from collections import Counter
@@ -20,7 +20,6 @@ class Named(NamedTuple):
     """Header that names a joint.
 
     Attributes:
-        joint: Number of the joint.
         words: Words of the header without the joint's name.
         stem: Header with `*` in place of the joint's name; equal for all headers of one signal.
     """
@@ -35,8 +34,7 @@ class Pairing(NamedTuple):
 
     Attributes:
         order: Index of each joint's header.
-        by: How headers were matched. `name`: they name the joints. `listed`: they name no joints and are in the user's
-            order. `place`: they name no joints and are in the file's order.
+        by: Matched by `name` of the joints; or unnamed, in the user's order (`listed`) or the file's order (`place`).
     """
 
     order: tuple[int, ...]
@@ -44,44 +42,39 @@ class Pairing(NamedTuple):
 
 
 def arrange(name: str, columns: Mapping[str, Columns], joints: Sequence[str]) -> dict[str, Pairing]:
-    """Match the columns of all signals of one recording to the joints.
+    """Match the columns of all signals of one recording to the joints; `name` is the recording's, for messages.
 
     Headers that a user listed are matched by name if they name each joint once; otherwise they keep the listed order.
 
-    Args:
-        name: Name of the recording, for messages.
-        columns: Columns of each signal, in the file's order or as listed.
-        joints: Names of the joints.
-
     Raises:
-        LogError: As `pair`; or one signal has no joint names and another signal names the joints in another order.
+        LogError: As `pair`; or one signal has no joint names and another names the joints in another order.
     """
-    found = {signal: _arrange(name, signal, of, joints) for signal, of in columns.items()}
-    moved = [s for s, pairing in found.items() if not columns[s].listed and _moves(columns[s], pairing)]
-    placed = [s for s, (order, by) in found.items() if by == "place" and len(order) > 1]
-    if moved and placed:
+    pairings = {signal: _arrange(name, signal, origin, joints) for signal, origin in columns.items()}
+    reordered = [s for s, pairing in pairings.items() if not columns[s].listed and _moves(columns[s], pairing)]
+    by_place = [s for s, (order, by) in pairings.items() if by == "place" and len(order) > 1]
+    if reordered and by_place:
         raise LogError(
-            f"{name}: {placed[0]} has columns without names, {_list(columns[placed[0]].headers)}, and those of "
-            f"{moved[0]} name joints in another order than the model, {_list(columns[moved[0]].headers)}; set "
-            f"data.columns.{placed[0]} to one column a joint, in the order {_list(joints)}"
+            f"{name}: {by_place[0]} has columns without names, {_list(columns[by_place[0]].headers)}, and those of "
+            f"{reordered[0]} name joints in another order than the model, {_list(columns[reordered[0]].headers)}; set "
+            f"data.columns.{by_place[0]} to one column a joint, in the order {_list(joints)}"
         )
-    return found
+    return pairings
 
 
 def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str]) -> Pairing:
     as_listed = Pairing(tuple(range(len(of.headers))), "listed")
     try:
-        found = pair(of.headers, joints)
+        pairing = pair(of.headers, joints)
     except LogError as error:
         if of.listed:
             return as_listed
         needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
         raise LogError(f"{name}: {signal} {error}; set data.columns.{signal} to the columns{needed}") from None
-    return found if found.by == "name" or not of.listed else as_listed
+    return pairing if pairing.by == "name" or not of.listed else as_listed
 
 
 def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dict[str, Columns]:
-    """Return the origin of the columns in the order from `arrange`."""
+    """Return the columns in the order from `arrange`."""
     return {
         signal: Columns(tuple(columns[signal].headers[place] for place in order), columns[signal].listed, by)
         for signal, (order, by) in found.items()
@@ -89,14 +82,14 @@ def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dic
 
 
 def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> list[str]:
-    """Return sentences on signals that `arrange` orders the first time, except where headers simply name the joints."""
+    """Return sentences on signals that `arrange` orders the first time, unless headers simply name the joints."""
     new = {signal: pairing for signal, pairing in found.items() if not columns[signal].by and len(pairing.order) > 1}
-    placed = [signal for signal, (_, by) in new.items() if by == "place"]
+    by_place = [signal for signal, (_, by) in new.items() if by == "place"]
     moved = [s for s, pairing in new.items() if columns[s].listed and _moves(columns[s], pairing)]
     listed = [signal for signal, (_, by) in new.items() if by == "listed"]
     lines = []
-    if placed:
-        lines.append(f"columns of {', '.join(placed)} have no joints' names; taken by position in the joints' order")
+    if by_place:
+        lines.append(f"columns of {', '.join(by_place)} have no joints' names; taken by position in the joints' order")
     if listed:
         lines.append(f"columns of {', '.join(listed)} do not name the joints; taken in the order of data.columns")
     if moved:
@@ -107,47 +100,47 @@ def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> l
 def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequence[str]) -> list[dict[str, Any]]:
     """Return the columns of each joint, ready for JSON; logs or recordings with the same columns share one entry.
 
-    Args:
-        carriers: Logs or recordings; those without columns in the order of the joints are skipped.
-        joints: Names of the joints.
+    Carriers without columns in the order of the joints are skipped.
     """
     names: dict[tuple[tuple[str, Columns], ...], list[str]] = {}
-    for each in carriers:
-        if each.columns and all(of.by and len(of.headers) in (1, len(joints)) for of in each.columns.values()):
-            names.setdefault(tuple(each.columns.items()), []).append(each.name)
+    for item in carriers:
+        if item.columns and all(
+            origin.by and len(origin.headers) in (1, len(joints)) for origin in item.columns.values()
+        ):
+            names.setdefault(tuple(item.columns.items()), []).append(item.name)
     return [
         {
-            "logs": named,
-            "by": {signal: of.by for signal, of in columns},
+            "logs": log_names,
+            "by": {signal: origin.by for signal, origin in columns},
             "joints": [{"joint": joint, "columns": _pick(columns, place)} for place, joint in enumerate(joints)],
         }
-        for columns, named in names.items()
+        for columns, log_names in names.items()
     ]
 
 
 def _pick(columns: Sequence[tuple[str, Columns]], joint: int) -> dict[str, str]:
     """Return each signal's header for one joint; a single column serves all joints."""
-    return {signal: of.headers[joint if len(of.headers) > 1 else 0] for signal, of in columns}
+    return {signal: origin.headers[joint if len(origin.headers) > 1 else 0] for signal, origin in columns}
 
 
 def _moves(of: Columns, pairing: Pairing) -> bool:
-    """Return whether columns matched by name are reordered or some of them left out."""
+    """Return whether matching by name reorders columns or leaves some out."""
     return pairing.by == "name" and pairing.order != tuple(range(len(of.headers)))
 
 
 def pair(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
     """Match the headers of one signal to the joints.
 
-    A header names a joint if it contains the joint's name as whole words. Case, separators and words such as `joint`
-    do not count. A prefix or suffix that all joint names share may be missing if all other words of the header are
-    known. Headers of other joints are left out. Headers that differ only in one number are matched by position, unless
-    the joints' names differ in the same numbers.
+    A header names a joint if it contains the joint's name as whole words. Case, separators and words such as `joint` do
+    not count. A prefix or suffix that all joint names share may be missing if all other words of the header are known.
+    Headers of other joints are left out. Headers that differ only in one number are matched by position, unless the
+    joints' names differ in the same numbers.
 
     Raises:
-        LogError: Only some joints are named, two headers name one joint, or the headers differ in names of no joint.
-            The message lists them and continues a sentence that begins with the signal's name.
+        LogError: Only some joints are named, two headers name one joint, or the headers contain names of no joint. The
+            message lists them and continues a sentence that begins with the signal's name.
     """
-    named = {place: found.joint for place, header in enumerate(headers) if (found := find_name(header, tuple(joints)))}
+    named = {place: match.joint for place, header in enumerate(headers) if (match := find_name(header, tuple(joints)))}
     if not named:
         return _pair_numbers(headers, joints)
     counts = Counter(named.values())
@@ -167,12 +160,12 @@ def _pair_numbers(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
             f"has columns with names, {_list(headers)}, and none is a joint's ({_list(joints)}); expected the joints' "
             "names"
         )
-    numbers, own = _find_numbers(headers), _find_numbers(joints)
+    numbers, joint_numbers = _find_numbers(headers), _find_numbers(joints)
     if numbers is None:
         return in_order
-    if own is not None and {*numbers} == {*own}:
-        return Pairing(tuple(numbers.index(number) for number in own), "name")
-    if own is not None and list(own) != sorted(own):
+    if joint_numbers is not None and {*numbers} == {*joint_numbers}:
+        return Pairing(tuple(numbers.index(number) for number in joint_numbers), "name")
+    if joint_numbers is not None and list(joint_numbers) != sorted(joint_numbers):
         raise LogError(
             f"has columns with numbers, {_list(headers)}, other than those of the joints ({_list(joints)}), which do "
             "not increase; expected the joints' names"
@@ -201,7 +194,7 @@ def has_names(headers: Sequence[str]) -> bool:
 
 
 def _find_numbers(names: Sequence[str]) -> tuple[int, ...] | None:
-    """Return the number in each name if the names differ in that number only; otherwise None."""
+    """Return the only number in which the names differ; None if they differ otherwise."""
     parts = [split(name) for name in names]
     if len(parts) < 2 or has_names(names):
         return None
@@ -215,18 +208,18 @@ def find_name(header: str, joints: tuple[str, ...]) -> Named | None:
     """Find the joint that a header names; the longest match wins. None if no joint matches or two match equally."""
     parts, forms = split(header), _list_forms(joints)
     longest = max(map(len, forms), default=0)
-    found: list[tuple[int, int, int, int]] = []
+    matches: list[tuple[int, int, int, int]] = []
     for begin in range(len(parts)):
         text = ""
         for end in range(begin + 1, len(parts) + 1):
             text += _join(parts[end - 1 : end])
             if len(text) > longest:
                 break
-            for joint, alone in forms.get(text, {}).items():
+            for joint, is_bare in forms.get(text, {}).items():
                 rest = list_words((*parts[:begin], *parts[end:]))
-                if not alone or KNOWN.issuperset(rest):
-                    found.append((len(text), joint, begin, end))
-    best = [one for one in found if one[0] == max(found)[0]]
+                if not is_bare or KNOWN.issuperset(rest):
+                    matches.append((len(text), joint, begin, end))
+    best = [match for match in matches if match[0] == max(matches)[0]]
     if len({joint for _, joint, *_ in best}) != 1:
         return None
     _, joint, begin, end = best[-1]
@@ -238,26 +231,26 @@ def find_name(header: str, joints: tuple[str, ...]) -> Named | None:
 def _list_forms(joints: tuple[str, ...]) -> dict[str, dict[int, bool]]:
     """Return short and full forms of joint names; True marks a form that needs a header of otherwise known words.
 
-    Forms that two joints share, and numbers that are not a whole name, are left out.
+    Forms that two joints share are left out, and numbers that are not a whole name.
     """
-    whole = [split(name) for name in joints]
-    short = [[part for part in parts if part not in GENERIC] for parts in whole]
-    before = _count_shared(short)
-    after = _count_shared([parts[before:][::-1] for parts in short])
-    bare = [parts[before : len(parts) - after] for parts in short]
-    found: dict[str, dict[int, bool]] = {}
-    for forms, alone in ((whole, False), (short, False), (bare, True)):
+    full = [split(name) for name in joints]
+    short = [[part for part in parts if part not in GENERIC] for parts in full]
+    prefix = _count_shared(short)
+    suffix = _count_shared([parts[prefix:][::-1] for parts in short])
+    bare = [parts[prefix : len(parts) - suffix] for parts in short]
+    forms_by_text: dict[str, dict[int, bool]] = {}
+    for forms, is_bare in ((full, False), (short, False), (bare, True)):
         texts = [_join(parts) for parts in forms]
         counts = Counter(texts)
         for joint, text in enumerate(texts):
-            is_number = all(part.isdecimal() for part in forms[joint]) and forms[joint] != whole[joint]
+            is_number = all(part.isdecimal() for part in forms[joint]) and forms[joint] != full[joint]
             if text and counts[text] == 1 and not is_number:
-                found.setdefault(text, {}).setdefault(joint, alone)
-    return found
+                forms_by_text.setdefault(text, {}).setdefault(joint, is_bare)
+    return forms_by_text
 
 
 def _count_shared(names: Sequence[Sequence[str]]) -> int:
-    """Return how many leading parts all names share, leaving each name at least one part."""
+    """Count the leading parts that all names share, but leave each name one part."""
     count = 0
     while len(names) > 1 and all(len(parts) > count + 1 for parts in names) and len({p[count] for p in names}) == 1:
         count += 1
@@ -265,27 +258,26 @@ def _count_shared(names: Sequence[Sequence[str]]) -> int:
 
 
 def _join(parts: Sequence[str]) -> str:
-    """Join parts to one text with numbers in angle brackets."""
     return "".join(f"<{part}>" if part.isdecimal() else part for part in parts)
 
 
 def _say_unpaired(headers: Sequence[str], joints: Sequence[str], named: Mapping[int, int]) -> str:
-    """Return the message for headers that do not name each joint once."""
     columns = {
-        joint: [headers[place] for place, of in named.items() if of == number] for number, joint in enumerate(joints)
+        joint: [headers[place] for place, matched in named.items() if matched == number]
+        for number, joint in enumerate(joints)
     }
-    several = [f"{joint} <- {_list(of)}" for joint, of in columns.items() if len(of) > 1]
-    lacking = [joint for joint, of in columns.items() if not of]
+    several = [f"{joint} <- {_list(matched)}" for joint, matched in columns.items() if len(matched) > 1]
+    lacking = [joint for joint, matched in columns.items() if not matched]
     parts = [f"two or more columns for a joint ({'; '.join(several)})"] if several else []
     if lacking:
-        known = ", ".join(f"{joint} <- {of[0]}" for joint, of in columns.items() if len(of) == 1)
-        known = f" ({known})" if known else ""
+        pairs = ", ".join(f"{joint} <- {matched[0]}" for joint, matched in columns.items() if len(matched) == 1)
+        pairs = f" ({pairs})" if pairs else ""
         parts.append(
-            f"columns for {len(joints) - len(lacking)} of {len(joints)} joints{known}, none for {_list(lacking)}"
+            f"columns for {len(joints) - len(lacking)} of {len(joints)} joints{pairs}, none for {_list(lacking)}"
         )
     return f"has {' and '.join(parts)}; expected one column for each joint"
 
 
 def _list(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    return ", ".join(names[:MOST_LISTED]) + more
+    rest = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    return ", ".join(names[:MOST_LISTED]) + rest

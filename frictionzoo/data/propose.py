@@ -46,7 +46,7 @@ class Proposal:
     certain: bool = False
 
     def overrides(self) -> list[str]:
-        """Return the proposal as options for the command line, quoted for a shell if needed."""
+        """Return the proposal as command-line options, quoted for a shell if needed."""
         columns = [
             f"data.columns.{signal}={_quote(headers[0]) if signal == 'time' else _list(headers)}"
             for signal, headers in self.columns.items()
@@ -58,24 +58,21 @@ class Proposal:
 def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()) -> Proposal:
     """Propose columns and units for the signals of a table, from names and numbers.
 
-    Args:
-        table: Contents of a file.
-        joints: Names of the joints whose columns are wanted; empty if unknown.
-        said: Signals whose columns a user set.
+    `joints` names the joints whose columns are wanted; empty if unknown. `said` lists signals whose columns a user set.
 
     Raises:
         LogError: Headers of a signal not in `said` name only some of the joints, or a joint twice.
     """
-    for known in ({signal: signal for signal in SIGNALS}, BAM):
-        if all(known[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
-            columns = {signal: (header,) for signal, header in known.items() if header in table.columns}
-            columns = {signal: found for signal, found in columns.items() if is_usable(table, signal, found)}
+    for names in ({signal: signal for signal in SIGNALS}, BAM):
+        if all(names[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
+            columns = {signal: (header,) for signal, header in names.items() if header in table.columns}
+            columns = {signal: headers for signal, headers in columns.items() if is_usable(table, signal, headers)}
             units, reasons = _units(table, columns)
             reason = f"{', '.join(h for (h,) in columns.values())}: by their names"
             return Proposal(columns, units, (reason, *reasons), certain=not units)
-    columns, named = find_columns(table, joints, said)
+    columns, name_reasons = find_columns(table, joints, said)
     units, reasons = _units(table, columns)
-    return Proposal(columns, units, (*named, *reasons))
+    return Proposal(columns, units, (*name_reasons, *reasons))
 
 
 @np.errstate(all="ignore")  # raw numbers: overflow or infinity gives no guess
@@ -96,12 +93,12 @@ def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
 
 def _unit_of(signal: str, header: str) -> str | None:
     """Return the unit in a header, in brackets or at its end."""
-    known = {name.replace(" ", "").lower(): name for name in UNITS[signal]}
+    names = {name.replace(" ", "").lower(): name for name in UNITS[signal]}
     inside = re.findall(r"[\[(]([^\])]*)[\])]\s*$", header)
     parts = re.split(r"[_\s.]+", header.lower())
     for word in (*inside, "_".join(parts[-2:]), *(parts[-1:] if len(parts) > 1 else ())):
         word = SPELLINGS.get(word.strip().lower(), word.strip())
-        name = known.get(word.replace(" ", "").replace("*", "").replace("·", "").lower())
+        name = names.get(word.replace(" ", "").replace("*", "").replace("·", "").lower())
         if name is not None and not name.isdigit():
             return name
     return None
@@ -112,7 +109,6 @@ Columns = Mapping[str, tuple[str, ...]]
 
 
 def _guess_time(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """Guess the unit of time from its steps."""
     if "time" not in columns or "time" in units or columns["time"][0] in table.units:
         return []
     steps = np.diff(table.columns[columns["time"][0]].astype(float))
@@ -131,22 +127,22 @@ def _guess_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Gue
         return []
     time, position, velocity = signals
     seconds = time * np.divide(*ratio("time", units.get("time") or table.units.get(columns["time"][0], "s")))
-    moved = np.isfinite(seconds) & (np.diff(seconds, prepend=-math.inf) > 0)
-    if moved.sum() < 3:
+    advances = np.isfinite(seconds) & (np.diff(seconds, prepend=-math.inf) > 0)
+    if advances.sum() < 3:
         return []
-    size = _ratio(np.gradient(position[moved], seconds[moved]), velocity[moved])
-    if size is None:
+    scale = _ratio(np.gradient(position[advances], seconds[advances]), velocity[advances])
+    if scale is None:
         return []
-    distance, a, b = min(
-        (abs(math.log(size / (_si("qvel", b) / _si("qpos", a)))), a, b)
-        for a in ([units["qpos"]] if "qpos" in units else ["rad", "deg", "rev", "mm"])
-        for b in ([units["qvel"]] if "qvel" in units else ["rad/s", "deg/s", "rpm", "mm/s"])
+    distance, position_unit, velocity_unit = min(
+        (abs(math.log(scale / (_si("qvel", velocity_unit) / _si("qpos", position_unit)))), position_unit, velocity_unit)
+        for position_unit in ([units["qpos"]] if "qpos" in units else ["rad", "deg", "rev", "mm"])
+        for velocity_unit in ([units["qvel"]] if "qvel" in units else ["rad/s", "deg/s", "rpm", "mm/s"])
     )
-    alike = abs(math.log(size)) < NEAR and not units.keys() & {"qpos", "qvel"}
+    alike = abs(math.log(scale)) < NEAR and not units.keys() & {"qpos", "qvel"}
     if distance > NEAR or alike:
         return []
-    reason = f"the derivative of {columns['qpos'][0]} is {size:.3g} times {columns['qvel'][0]}"
-    pairs = (("qpos", a), ("qvel", b))
+    reason = f"the derivative of {columns['qpos'][0]} is {scale:.3g} times {columns['qvel'][0]}"
+    pairs = (("qpos", position_unit), ("qvel", velocity_unit))
     return [(signal, unit, reason) for signal, unit in pairs if signal not in units and _si(signal, unit) != 1]
 
 
@@ -162,12 +158,10 @@ def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Gu
 
 
 def _guess_command(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """Guess the unit of a command that the position follows."""
     return _guess_followed(table, columns, units, "qpos", "ctrl", ("rad", "deg"))
 
 
 def _guess_command_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """Guess the unit of a desired velocity that the velocity follows."""
     return _guess_followed(table, columns, units, "qvel", "ctrl_velocity", ("rad/s", "deg/s"))
 
 
@@ -180,15 +174,15 @@ def _guess_followed(
     signals = _values(table, columns, (signal, told))
     if signals is None:
         return []
-    known = units.get(signal) or table.units.get(columns[signal][0], possible[0])
-    size = _ratio(*signals, of_same=True)
-    if size is None:
+    measured_unit = units.get(signal) or table.units.get(columns[signal][0], possible[0])
+    scale = _ratio(*signals, of_same=True)
+    if scale is None:
         return []
-    distance, unit = min((abs(math.log(size * _si(signal, known) / _si(signal, u))), u) for u in possible)
+    distance, unit = min((abs(math.log(scale * _si(signal, measured_unit) / _si(signal, u))), u) for u in possible)
     # A position short of its command does not show another unit; a factor of 57 does.
     if distance > 10 * NEAR or _si(signal, unit) == 1:
         return []
-    return [(told, unit, f"{columns[signal][0]} follows it, {size:.3g} times as large")]
+    return [(told, unit, f"{columns[signal][0]} follows it, {scale:.3g} times as large")]
 
 
 def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Signal] | None:
@@ -196,15 +190,15 @@ def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Si
     if not all(signal in columns for signal in signals):
         return None
     values = [table.columns[columns[signal][0]].astype(float) for signal in signals]
-    return values if len({len(each) for each in values}) == 1 else None
+    return values if len({len(column) for column in values}) == 1 else None
 
 
 def _ratio(first: Signal, second: Signal, of_same: bool = False) -> float | None:
     """Return the ratio of the first signal to the second; None if they are not the same quantity."""
-    fine = np.isfinite(first) & np.isfinite(second) & (np.abs(first) < 1e100) & (np.abs(second) < 1e100)
-    if fine.sum() < 3 or not np.ptp(first[fine]) > 0 or not np.ptp(second[fine]) > 0:
+    usable = np.isfinite(first) & np.isfinite(second) & (np.abs(first) < 1e100) & (np.abs(second) < 1e100)
+    if usable.sum() < 3 or not np.ptp(first[usable]) > 0 or not np.ptp(second[usable]) > 0:
         return None
-    a, b = first[fine] - np.median(first[fine]), second[fine] - np.median(second[fine])
+    a, b = first[usable] - np.median(first[usable]), second[usable] - np.median(second[usable])
     products = float(a @ b), float(a @ a), float(b @ b)
     if min(products) <= 0 or products[0] < (ALIKE if of_same else 0.3) * math.sqrt(products[1] * products[2]):
         return None
@@ -217,7 +211,7 @@ def _si(signal: str, unit: str) -> float:
 
 
 def _quote(name: str) -> str:
-    """Return a value of an option, quoted if Hydra would parse it as syntax."""
+    """Return an option's value, quoted if Hydra would parse it as syntax."""
     return name if re.fullmatch(r"[A-Za-z_][\w/ -]*", name) else '"' + name.replace('"', '\\"') + '"'
 
 

@@ -33,7 +33,7 @@ class Table:
         fields: Values for the whole recording, such as gains, payload, trajectory.
         sha256: Hash of the bytes that were read.
         refused: Error messages for unusable columns, by header.
-        times: Header of the time column, by the header of a column that was recorded at its own times.
+        times: Header of the time column, by the header of a column with separate times.
         units: Units that the format specifies, by header.
     """
 
@@ -53,13 +53,12 @@ class Recording:
     Attributes:
         name: Origin, for messages.
         time: Sample times from the first sample on [s].
-        signals: Samples of each recorded signal except time, of shape (time, columns): qpos [rad or m],
-            qvel [rad/s or m/s], ctrl in the actuator law's unit, ctrl_velocity [rad/s or m/s], ctrl_torque [N m or N],
-            kp [N m/rad or N/m], kd [N m s/rad or N s/m], measured torque [N m or N], supply [V], enable (0 or 1),
-            temperature [degC].
+        signals: Samples of each recorded signal except time, of shape (time, columns): qpos [rad or m], qvel [rad/s or
+            m/s], ctrl in the actuator law's unit, ctrl_velocity [rad/s or m/s], ctrl_torque [N m or N], kp [N m/rad or
+            N/m], kd [N m s/rad or N s/m], measured torque [N m or N], supply [V], enable (0 or 1), temperature [degC].
         fields: Values for the whole recording.
         sha256: Hash of the bytes that were read.
-        simulated: Whether a simulator made it; False: recorded on hardware; None: not stated.
+        simulated: Whether a simulator made it; None: not stated.
         notes: Changes made to bring the signals to common times, a sentence each.
         columns: Origin of the columns by signal.
     """

@@ -1,4 +1,4 @@
-"""Selection of recordings and payloads by fields, values for whole recordings such as gains or trajectory."""
+"""Selection of recordings and payloads by fields: values of a whole recording, such as gains or trajectory."""
 
 import math
 import re
@@ -39,8 +39,8 @@ class Selection:
             if not isinstance(value, str | int | float):
                 raise ConfigError(f"data.fields.{name}={value}: expected a number or text")
         if self.from_name is not None and not _compile(self.from_name).groupindex:
-            came = f"data.fields_from_name={self.from_name}"
-            raise ConfigError(f"{came}: no named group, expected one, as in (?P<kp>\\d+)")
+            setting = f"data.fields_from_name={self.from_name}"
+            raise ConfigError(f"{setting}: no named group, expected one, as in (?P<kp>\\d+)")
 
     def keep(self, tables: Sequence[Table]) -> list[Table]:
         """Return the selected tables with all their fields.
@@ -75,7 +75,7 @@ class Selection:
 
 
 def _equal(one: Any, other: Any) -> bool:
-    """Return whether two values of a field are equal, numbers up to rounding."""
+    """Return whether two field values are equal, numbers up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=1e-9)
     return one == other
@@ -87,14 +87,12 @@ def is_among(value: Any, values: Iterable[Any]) -> bool:
 
 
 def refuse_absent(carriers: Sequence[Any], name: str, values: Iterable[Any], option: str, asked: str) -> None:
-    """Refuse a field or a value of it that no recording has, with a LogError.
+    """Refuse a field, or a value of it, that no table or recording in `carriers` has.
 
-    Args:
-        carriers: Tables or recordings, with `fields`.
-        name: Name of the field.
-        values: Requested values of the field.
-        option: Option that names the field, for messages.
-        asked: Option that names the values, for messages.
+    `option` (names the field) and `asked` (names its values) are for messages.
+
+    Raises:
+        LogError: No carrier has the field or a value.
     """
     present = list(dict.fromkeys(carrier.fields[name] for carrier in carriers if name in carrier.fields))
     if not present:
@@ -121,16 +119,14 @@ def _number_or_text(text: str) -> str | float:
 
 
 def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> list[Payload | None]:
-    """Return the payload of the drive in each recording.
+    """Return the payload of the drive in each recording, training before test.
 
-    Args:
-        given: Empty for none; or seven numbers a recording; or entries with `when` (values of fields) and `payload`
-            (seven numbers). The numbers are mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2].
-        recordings: Recordings, training before test.
+    `given` is empty for none; or seven numbers a recording; or entries with `when` (values of fields) and `payload`
+    (seven numbers). The numbers are mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2].
 
     Raises:
-        ConfigError: A payload is invalid, the numbers of payloads and recordings differ, or not exactly one entry
-            matches a recording.
+        ConfigError: A payload is invalid, payloads and recordings differ in number, or a recording does not match
+            exactly one entry.
     """
     if not given:
         return [None] * len(recordings)
@@ -144,36 +140,33 @@ def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> li
 
 
 def _read_entry(place: int, entry: Any) -> tuple[Mapping[str, Any], Payload]:
-    """Read condition and payload of one entry."""
     if not isinstance(entry, Mapping) or set(entry) != {"when", "payload"} or not isinstance(entry["when"], Mapping):
         raise ConfigError(f"data.payload[{place}] is {entry}; expected when: {{field: value}} and payload: [7 numbers]")
     return entry["when"], _read_numbers(_describe(entry["when"]), entry["payload"])
 
 
 def _look_up(table: Sequence[tuple[Mapping[str, Any], Payload]], recording: Recording) -> Payload:
-    """Return the payload of the only entry that matches a recording."""
     fields = recording.fields
-    fitting = [
+    matching = [
         payload
         for when, payload in table
         if all(name in fields and _equal(fields[name], value) for name, value in when.items())
     ]
-    if len(fitting) == 1:
-        return fitting[0]
+    if len(matching) == 1:
+        return matching[0]
     asked = {name: fields.get(name, "missing") for when, _ in table for name in when}
-    came = f"{recording.name}: {len(fitting) or 'no'} entries of data.payload fit {_describe(asked)}"
-    raise ConfigError(f"{came}, expected one; correct the table or leave the recording out with data.exclude")
+    problem = f"{recording.name}: {len(matching) or 'no'} entries of data.payload fit {_describe(asked)}"
+    raise ConfigError(f"{problem}, expected one; correct the table or leave the recording out with data.exclude")
 
 
 def _read_numbers(owner: str, numbers: Any) -> Payload:
-    """Read a payload from its seven numbers."""
-    came = f"data.payload of {owner} is {numbers}"
+    subject = f"data.payload of {owner} is {numbers}"
     if not isinstance(numbers, Sequence) or len(numbers) != 7 or not all(_is_finite(x) for x in numbers):
-        raise ConfigError(f"{came}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz")
+        raise ConfigError(f"{subject}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz")
     mass, x, y, z, ixx, iyy, izz = map(float, numbers)
     if min(mass, ixx, iyy, izz) < 0 or 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
         expected = "mass and inertia of at least 0, and no inertia above the sum of the other two"
-        raise ConfigError(f"{came}; expected {expected}")
+        raise ConfigError(f"{subject}; expected {expected}")
     return Payload(mass, (x, y, z), (ixx, iyy, izz))
 
 

@@ -26,7 +26,7 @@ Signal = Float[np.ndarray, "time"]
 
 
 def find_breaks(time: Signal, gap: float) -> Int[np.ndarray, "breaks"]:
-    """Return the first samples of new stretches, after a backward time step or one above `gap` median intervals."""
+    """Return the first samples after a backward time step or one above `gap` median intervals."""
     steps = np.diff(time)
     return np.flatnonzero((steps < 0) | (steps > gap * np.median(steps[steps > 0]))) + 1
 
@@ -34,44 +34,44 @@ def find_breaks(time: Signal, gap: float) -> Int[np.ndarray, "breaks"]:
 def find_spikes(signal: Signal) -> Int[np.ndarray, "spikes"]:
     """Find spikes: one or two samples off their neighbours in the same direction, with neighbours close to each other.
 
-    The threshold scales with the median second difference and the smallest step, so fast smooth motion is no spike.
-    Only for a position, or another signal that cannot jump and return.
+    The threshold scales with the median second difference and the smallest step, so fast smooth motion is no spike. Use
+    it only for a position, or another signal that cannot jump and return.
     """
     second = np.abs(np.diff(signal, 2))
     steps = np.abs(np.diff(signal))
     if not np.isfinite(second).any() or not (steps > 0).any():
         return np.zeros(0, int)
     usual = max(float(np.nanmedian(second)), float(steps[steps > 0].min()))
-    found = [_find_spikes_of(signal, usual, width) for width in range(1, WIDEST + 1)]
-    return np.unique(np.concatenate(found))
+    spikes = [_find_spikes_of(signal, usual, width) for width in range(1, WIDEST + 1)]
+    return np.unique(np.concatenate(spikes))
 
 
 def _find_spikes_of(signal: Signal, usual: float, width: int) -> Int[np.ndarray, "spikes"]:
     before, after = signal[: -width - 1], signal[width + 1 :]
     leaves, returns = signal[1:-width] - before, signal[width:-1] - after
     size = np.where(leaves * returns > 0, np.minimum(np.abs(leaves), np.abs(returns)), 0.0)
-    first = np.flatnonzero((size > SPIKE * usual) & (np.abs(before - after) < RETURN * size)) + 1
-    return np.concatenate([first + i for i in range(width)])
+    starts = np.flatnonzero((size > SPIKE * usual) & (np.abs(before - after) < RETURN * size)) + 1
+    return np.concatenate([starts + i for i in range(width)])
 
 
 def count_spikes(signal: Signal) -> int:
     """Count the spikes from `find_spikes`; adjacent samples count as one."""
-    found = find_spikes(signal)
-    return len(found) and 1 + int((np.diff(found) > 1).sum())
+    spikes = find_spikes(signal)
+    return len(spikes) and 1 + int((np.diff(spikes) > 1).sum())
 
 
 def repair_spikes(signal: Signal) -> Signal:
     """Interpolate linearly across each spike from `find_spikes`."""
-    repaired, found = signal.copy(), find_spikes(signal)
-    others = np.delete(np.arange(len(signal)), found)
-    repaired[found] = np.interp(found, others, signal[others])
+    repaired, spikes = signal.copy(), find_spikes(signal)
+    others = np.delete(np.arange(len(signal)), spikes)
+    repaired[spikes] = np.interp(spikes, others, signal[others])
     return repaired
 
 
 def find_outliers(signal: Signal) -> Bool[np.ndarray, "time"]:
     """Find one or two successive samples far outside the range of the others; for any signal, held commands too."""
-    few = min(max(3, round(TOP * len(signal))), (len(signal) - 1) // 4)
-    low, high = np.partition(signal, (few, len(signal) - 1 - few))[[few, -1 - few]]
+    tail = min(max(3, round(TOP * len(signal))), (len(signal) - 1) // 4)
+    low, high = np.partition(signal, (tail, len(signal) - 1 - tail))[[tail, -1 - tail]]
     far = np.maximum(signal - high, low - signal) > FAR * (high - low)
     if not high > low:
         return np.zeros(len(signal), bool)
@@ -90,25 +90,25 @@ def find_quantum(signal: Signal) -> float | None:
     small = steps[steps < 20 * steps.min()]
     quantum = float(np.median(small / np.round(small / steps.min())))
     ratio = steps / quantum
-    few = ratio < 1000  # beyond, the quantum's rounding error decides
-    whole = np.abs(ratio[few] - np.round(ratio[few])) < 0.1
-    return quantum if whole.mean() >= QUANTISED else None
+    reliable = ratio < 1000  # beyond, the quantum's rounding error decides
+    is_multiple = np.abs(ratio[reliable] - np.round(ratio[reliable])) < 0.1
+    return quantum if is_multiple.mean() >= QUANTISED else None
 
 
 def find_noise(signal: Signal) -> float:
     """Return the standard deviation of the white noise in a smooth signal, in the signal's unit.
 
     The difference of order d removes polynomials of lower order and multiplies the noise variance by the binomial
-    coefficient (2 d, d). The smallest estimate of all orders up to `_DIFFERENCES` is used. Quantisation counts as
-    noise with a variance of one twelfth of the squared step.
+    coefficient (2 d, d). The smallest estimate of all orders up to `_DIFFERENCES` is used. Quantisation counts as noise
+    with a variance of one twelfth of the squared step.
 
     Source: P. Hall, J. Kay, D. Titterington, "Asymptotically optimal difference-based estimation of variance in
     nonparametric regression", Biometrika 77(3), 1990.
     """
     orders = range(1, min(_DIFFERENCES, len(signal) - 1) + 1)
-    left = [float(np.square(np.diff(signal, order)).mean()) / math.comb(2 * order, order) for order in orders]
+    variances = [float(np.square(np.diff(signal, order)).mean()) / math.comb(2 * order, order) for order in orders]
     rounding = (find_quantum(signal) or 0.0) / math.sqrt(12)
-    return max(math.sqrt(min(left, default=0.0)), rounding)
+    return max(math.sqrt(min(variances, default=0.0)), rounding)
 
 
 def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float, float] | None:
@@ -137,7 +137,7 @@ def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float,
 
 
 def find_velocity_lag(time: Signal, position: Signal, velocity: Signal) -> tuple[float, float] | None:
-    """Return the lag of a measured velocity behind the position's zero-phase derivative [s] and its scale against it.
+    """Return a measured velocity's lag behind the position's zero-phase derivative [s] and its scale against it.
 
     None if the longest stretch without a gap is too short, or the two are not alike there.
     """
@@ -152,12 +152,12 @@ def regular_stretch(time: Signal, *signals: Signal) -> tuple[Float[np.ndarray, "
 
     Samples at which any signal is not finite are left out.
     """
-    known = np.all([np.isfinite(signal) for signal in signals], axis=0)
-    time, signals = time[known], tuple(signal[known] for signal in signals)
+    finite = np.all([np.isfinite(signal) for signal in signals], axis=0)
+    time, signals = time[finite], tuple(signal[finite] for signal in signals)
     if not (np.diff(time) > 0).any():
         return np.zeros(0), *(np.zeros(0) for _ in signals)
-    new = np.concatenate([[True], np.diff(time) != 0])
-    time, signals = time[new], tuple(signal[new] for signal in signals)
+    is_new = np.concatenate([[True], np.diff(time) != 0])
+    time, signals = time[is_new], tuple(signal[is_new] for signal in signals)
     edges = np.concatenate([[0], find_breaks(time, GAP), [len(time)]])
     longest = int(np.argmax(np.diff(edges)))
     cut = slice(edges[longest], edges[longest + 1])
@@ -190,15 +190,10 @@ def check_filter(section: str, cutoff: float, order: int) -> None:
 def smooth(
     signal: Float[np.ndarray, "time *columns"], timestep: float, cutoff: float, order: int, name: str, option: str
 ) -> Float[np.ndarray, "time *columns"]:
-    """Filter a signal, or each of its columns, with a zero-phase Butterworth low-pass.
+    """Filter uniform samples, each column separately, with a zero-phase Butterworth low-pass.
 
-    Args:
-        signal: Uniform samples.
-        timestep: Sample interval [s].
-        cutoff: Cut-off frequency [Hz]; the filter runs forwards and backwards, so the gain there is 1/2.
-        order: Order of the filter; the forward and backward passes double it.
-        name: Name of the log, for messages.
-        option: Option of the cut-off, for messages.
+    It runs forwards and backwards, so the gain at `cutoff` [Hz] is 1/2, and the two passes double `order`. `name` of
+    the log and `option` of the cut-off are for messages; `timestep` is in s.
 
     Raises:
         LogError: The log is too short to filter.
@@ -224,14 +219,5 @@ def smooth(
 def estimate_velocity(
     position: Signal, timestep: float, cutoff: float, order: int, name: str, option: str = "data.cutoff"
 ) -> Signal:
-    """Estimate a velocity without phase lag by `smooth` and central differences; errors as `smooth`.
-
-    Args:
-        position: Measured position [rad or m].
-        timestep: Sample interval [s].
-        cutoff: Cut-off frequency [Hz].
-        order: Order of the filter.
-        name: Name of the log, for messages.
-        option: Option of the cut-off, for messages.
-    """
+    """Estimate velocity [rad/s or m/s] by `smooth` and central differences; arguments and errors as `smooth`."""
     return np.gradient(smooth(position, timestep, cutoff, order, name, option), timestep)

@@ -25,7 +25,7 @@ class Source(Described, ABC):
         """
 
     def for_joints(self, joints: Sequence[str]) -> "Source":
-        """Return the same source for a bench with these joints; columns are matched to them by name if possible."""
+        """Return the same source for these joints; their columns are matched by name if possible."""
         return self
 
     @abstractmethod

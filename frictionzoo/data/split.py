@@ -52,19 +52,19 @@ class Split:
         """Divide the logs of each recording into training and test logs.
 
         Raises:
-            LogError: No recording matches `test`, or all do, which leaves none to train.
+            LogError: No recording matches `test`, or all do.
             ConfigError: An option is impossible.
         """
         if self.by == "time":
             share, gap = float(self.test_share), float(self.gap)
             parts = [split_by_time(log, share, gap) for cleaned in logs for log in cleaned]
             return [first for first, _ in parts], [last for _, last in parts]
-        tests = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
-        if tests.all():
-            all_of_them = f"data.split.by={self.by} test={self.test}: all {len(tests)} recordings test"
-            raise LogError(f"{all_of_them}, none is left to train; select fewer")
+        is_test = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
+        if is_test.all():
+            problem = f"data.split.by={self.by} test={self.test}: all {len(is_test)} recordings test"
+            raise LogError(f"{problem}, none is left to train; select fewer")
         train, test = [], []
-        for chosen, cleaned in zip(tests, logs, strict=True):
+        for chosen, cleaned in zip(is_test, logs, strict=True):
             (test if chosen else train).extend(cleaned)
         return train, test
 
@@ -72,24 +72,24 @@ class Split:
         refuse_absent(recordings, self.by, self._tested, "data.split.by", f"data.split.by={self.by} test")
         for recording in recordings:
             if self.by not in recording.fields:
-                what = f"{recording.name}: no field {self.by} for data.split"
-                raise LogError(f"{what}; add it with data.fields or leave the recording out")
+                problem = f"{recording.name}: no field {self.by} for data.split"
+                raise LogError(f"{problem}; add it with data.fields or leave the recording out")
         return np.array([is_among(recording.fields[self.by], self._tested) for recording in recordings])
 
     def _choose_files(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:
         share = self._tested[0]
         if isinstance(share, int | float) and len(self._tested) == 1:
             return _spread(float(share), len(recordings))
-        tests = np.zeros(len(recordings), dtype=bool)
+        is_test = np.zeros(len(recordings), dtype=bool)
         for pattern in map(str, self._tested):
-            fits = np.array([_is_called(recording.name, pattern) for recording in recordings])
-            if not fits.any():
+            matches = np.array([_is_called(recording.name, pattern) for recording in recordings])
+            if not matches.any():
                 raise LogError(
-                    f"data.split.test={pattern}: none of {len(fits)} recordings has that name; expected a name or a "
+                    f"data.split.test={pattern}: none of {len(matches)} recordings has that name; expected a name or a "
                     f"pattern such as {_last_part(recordings[0].name)}"
                 )
-            tests |= fits
-        return tests
+            is_test |= matches
+        return is_test
 
 
 def _spread(share: float, count: int) -> Bool[np.ndarray, "recordings"]:
@@ -107,5 +107,5 @@ def _is_called(name: str, pattern: str) -> bool:
 
 
 def _last_part(name: str) -> str:
-    """Return a file's name without its folders, or a member's name without its archive and folders."""
+    """Return a file's name without folders, or a member's name without archive and folders."""
     return name.rpartition("!")[2].replace("\\", "/").rpartition("/")[2]

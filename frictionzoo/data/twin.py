@@ -1,4 +1,4 @@
-"""Simulated copy of the paper's bench, the default data set, with known true parameters."""
+"""Default data set: simulation of the paper's bench with known true parameters."""
 
 import hashlib
 import json
@@ -52,8 +52,8 @@ class Excitation:
         for name in ("amplitude", "frequency", "phase"):
             low, high = getattr(self, name)
             if not low <= high:
-                came = f"data.excitation.{name}=[{low:g}, {high:g}]"
-                raise ConfigError(f"{came}: expected two numbers, the smaller first")
+                setting = f"data.excitation.{name}=[{low:g}, {high:g}]"
+                raise ConfigError(f"{setting}: expected two numbers, the smaller first")
         limit = self.velocity_limit
         if not limit > 0:
             raise ConfigError(f"data.excitation.velocity_limit={limit:g}: expected a positive speed in rad/s")
@@ -61,7 +61,7 @@ class Excitation:
     def command(self, time: Signal, rng: np.random.Generator) -> Signal:
         """Return the desired position [rad] at these times [s].
 
-        The clipped sum has a small mean, so its integral drifts over minutes; a straight line is subtracted.
+        The clipped sum has a small mean, so its integral drifts over minutes; a fitted line is subtracted.
         """
         bounds = self.amplitude, self.frequency, self.phase
         amplitude, frequency, phase = (rng.uniform(low, high, self.harmonics) for low, high in bounds)
@@ -148,7 +148,7 @@ class Sensor:
                 raise ConfigError(f"data.sensor.{name}={getattr(self, name):g}: expected 0 or more")
 
     def measure(self, qpos: States, qvel: States, rng: np.random.Generator) -> tuple[States, States]:
-        """Return the measured position [rad] and velocity [rad/s]."""
+        """Return measured position [rad] and velocity [rad/s]."""
         if self.position_quantum:
             qpos = np.round(qpos / self.position_quantum) * self.position_quantum
         return qpos, qvel + self.velocity_noise * rng.standard_normal(qvel.shape)
@@ -168,8 +168,7 @@ class Twin(Source):
         seed: Seed of excitation and noise.
         samples: Number of samples of the recording.
         timestep: Sample interval [s].
-        substeps: Simulation steps in a sample interval. Several steps keep the data from sharing the integration
-            error of a fit at the sample interval.
+        substeps: Simulation steps in a sample interval. Several keep the data from sharing a fit's integration error.
         mjcf: File name of a bench in the package, with one hinge.
         split: `test_share` and `gap` of `split_by_time`.
         cache_dir: See `cache_folder`.
@@ -229,7 +228,7 @@ class Twin(Source):
         return Dataset(self.name, (train,), (test,))
 
     def cache_file(self) -> Path | None:
-        """Return the cache file of the recording, named by a hash of all its settings; None without a cache."""
+        """Return the cache file, named by a hash of all settings; None without a cache."""
         if self.cache_dir is None:
             return None
         settings = {
@@ -244,7 +243,6 @@ class Twin(Source):
         return self.cache_dir / f"{self.name}-{key}.npz"
 
     def _record(self) -> dict[str, np.ndarray]:
-        """Simulate time [s], qpos [rad], qvel [rad/s] and ctrl (desired position [rad]) with sensor errors."""
         rng = np.random.default_rng(self.seed)
         time = np.arange(self.samples) * self.timestep
         ctrl = self.excitation.command(time, rng)
@@ -255,8 +253,7 @@ class Twin(Source):
     def simulate(self, ctrl: Signal) -> tuple[States, States]:
         """Simulate true position [rad] and velocity [rad/s] at the samples, from rest at the first command.
 
-        Args:
-            ctrl: Desired position at each sample, held over the sample interval [rad].
+        `ctrl` is the desired position at each sample [rad], held over the sample interval.
 
         Raises:
             LogError: The simulation diverges.
@@ -265,13 +262,13 @@ class Twin(Source):
         data = mujoco.MjData(model)
         data.qpos[0] = ctrl[0]
         states = np.empty((self.samples, 2))
-        late = round(self.drive.command_delay / model.opt.timestep)
+        delay_steps = round(self.drive.command_delay / model.opt.timestep)
         commands = ctrl.tolist()
         for sample in range(self.samples):
             states[sample] = data.qpos[0], data.qvel[0]
             for step in range(sample * self.substeps, (sample + 1) * self.substeps):
                 qpos, qvel = data.qpos.item(), data.qvel.item()
-                command = commands[max(step - late, 0) // self.substeps]
+                command = commands[max(step - delay_steps, 0) // self.substeps]
                 torque = self.controller.kp * (command - qpos) - self.controller.kd * qvel
                 torque -= self.drive.friction(qpos, qvel, torque)
                 self._refuse_divergence(torque, sample)
@@ -288,7 +285,6 @@ class Twin(Source):
             )
 
     def _spec(self) -> mujoco.MjSpec:
-        """Return the bench with the hidden armature and the simulation's timestep."""
         spec = mujoco.MjSpec.from_string(self.mjcf)
         spec.option.timestep = self.timestep / self.substeps
         spec.joints[0].armature = self.drive.armature
@@ -304,21 +300,20 @@ def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
         raise ConfigError(f"data.{name}.{key}: missing; give {', '.join(types)}")
     values = {}
     for key, kind in types.items():
-        number = kind in (int, float)
+        is_number = kind in (int, float)
         try:
-            if number:
+            if is_number:
                 values[key] = kind(given[key])
             else:
                 low, high = given[key]
                 values[key] = float(low), float(high)
         except (TypeError, ValueError):
-            expected = "a number" if number else "two numbers, [low, high]"
+            expected = "a number" if is_number else "two numbers, [low, high]"
             raise ConfigError(f"data.{name}.{key}={given[key]}: expected {expected}") from None
     return part(**values)
 
 
 def _packaged_bench(file_name: str) -> str:
-    """Return the text of an MJCF bench in the package."""
     folder = resources.files("frictionzoo") / "bench" / "assets"
     available = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".xml"))
     if file_name not in available:

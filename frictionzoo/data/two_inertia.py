@@ -85,12 +85,12 @@ class TwoInertia(Twin):
             states[sample] = data.qpos[load], data.qvel[load]
             for _ in range(self.substeps):
                 qpos, qvel = data.qpos.tolist(), data.qvel.tolist()
-                motor = self.controller.kp * (command - qpos[load]) - self.controller.kd * qvel[load]
-                passed = self.drive.coupling(qpos[rotor] - qpos[load], qvel[rotor] - qvel[load])
-                turning = motor - passed - self.drive.friction(qvel[rotor])
-                felt = abs(turning) * max(1.0, LIGHT / self.drive.rotor_inertia)
-                self._refuse_divergence(max(abs(passed), felt), sample)
-                data.qfrc_applied[load], data.qfrc_applied[rotor] = passed, turning
+                motor_torque = self.controller.kp * (command - qpos[load]) - self.controller.kd * qvel[load]
+                coupling_torque = self.drive.coupling(qpos[rotor] - qpos[load], qvel[rotor] - qvel[load])
+                rotor_torque = motor_torque - coupling_torque - self.drive.friction(qvel[rotor])
+                limiting_torque = abs(rotor_torque) * max(1.0, LIGHT / self.drive.rotor_inertia)
+                self._refuse_divergence(max(abs(coupling_torque), limiting_torque), sample)
+                data.qfrc_applied[load], data.qfrc_applied[rotor] = coupling_torque, rotor_torque
                 mujoco.mj_step(model, data)
         return states[:, :1], states[:, 1:]
 

@@ -45,15 +45,13 @@ UNITS: Mapping[str, Mapping[str, Ratio]] = {
 def ratio(signal: str, unit: str) -> Ratio:
     """Return the number of SI units in one unit of a signal, as a fraction.
 
-    Args:
-        signal: One of `SIGNALS`.
-        unit: Name, with or without spaces; or a number, the SI units per step of a raw register.
+    `unit` is a name, with or without spaces; or a number, the SI units per step of a raw register.
 
     Raises:
         ConfigError: The signal has no such unit.
     """
-    known = UNITS[signal]
-    for name, fraction in known.items():
+    units = UNITS[signal]
+    for name, fraction in units.items():
         if unit.replace(" ", "") == name.replace(" ", ""):
             return fraction
     try:
@@ -61,7 +59,7 @@ def ratio(signal: str, unit: str) -> Ratio:
     except ValueError:
         factor = math.nan
     if not math.isfinite(factor) or factor == 0:
-        raise ConfigError(f"data.units.{signal}={unit}: unknown unit; {closest(unit, known)}, or a number of SI units")
+        raise ConfigError(f"data.units.{signal}={unit}: unknown unit; {closest(unit, units)}, or a number of SI units")
     return factor, 1.0
 
 

@@ -1,4 +1,4 @@
-"""Recorded velocities beside those of positions: without motion, in another unit, of another joint, late or noisy."""
+"""Checks of recorded velocities against positions: no motion, another unit, another joint, late or noisy."""
 
 from collections.abc import Iterable, Sequence
 
@@ -17,102 +17,83 @@ Columns = Float[np.ndarray, "time columns"]
 
 
 def find_dead_velocities(time: Signal, qpos: Columns, qvel: Columns, gap: float) -> dict[int, str]:
-    """Find joints whose recorded velocity is missing, constant or shows no motion.
+    """Find joints whose recorded velocity is missing, constant or shows no motion, and return a sentence about each.
 
-    Args:
-        time: Sample times [s].
-        qpos: Recorded positions [rad or m]; NaN where missing.
-        qvel: Recorded velocities [rad/s or m/s]; NaN where missing.
-        gap: Longest interval that is not a gap, in median intervals.
-
-    Returns:
-        A sentence about each such joint, by joint number.
+    `qpos` [rad or m] and `qvel` [rad/s or m/s] are NaN where missing; `time` is in s. `gap` is the longest interval
+    that is not a gap, in median intervals.
     """
     faults = (_find_fault(time, *pair, gap) for pair in zip(qpos.T, qvel.T, strict=True))
     return {joint: f"qvel{of_joints([joint], qvel)} {fault}" for joint, fault in enumerate(faults) if fault}
 
 
 def _find_fault(time: Signal, position: Signal, velocity: Signal, gap: float) -> str:
-    """Return why a velocity shows no motion; empty if it does show the motion.
-
-    Args:
-        time: Sample times [s].
-        position: Recorded position of the joint [rad or m]; NaN where missing.
-        velocity: Recorded velocity of the joint [rad/s or m/s]; NaN where missing.
-        gap: Longest interval that is not a gap, in median intervals.
-    """
-    known = np.isfinite(position)
-    there = known & np.isfinite(velocity)
-    if there.sum() * gap < known.sum():
-        return f"is missing in {100 * (1 - there.sum() / known.sum()):.3g} % of the samples"
-    if not known.any() or not np.ptp(position[known]) > 0:  # a velocity of 0 is correct at rest
+    """Return why one joint's velocity shows no motion; empty if it shows it. Arguments as `find_dead_velocities`."""
+    has_position = np.isfinite(position)
+    has_both = has_position & np.isfinite(velocity)
+    if has_both.sum() * gap < has_position.sum():
+        return f"is missing in {100 * (1 - has_both.sum() / has_position.sum()):.3g} % of the samples"
+    if not has_position.any() or not np.ptp(position[has_position]) > 0:  # a velocity of 0 is correct at rest
         return ""
-    if not np.ptp(velocity[there]) > 0:
-        return f"is constantly {velocity[there][0]:.3g} while qpos moves"
+    if not np.ptp(velocity[has_both]) > 0:
+        return f"is constantly {velocity[has_both][0]:.3g} while qpos moves"
     spread = float(np.std(derive_velocity(time, repair_spikes(position))))
-    if np.std(velocity[there]) < DEAD * spread and find_velocity_lag(time, position, velocity) is None:
-        return f"varies by {np.std(velocity[there]):.2g} and the position's derivative by {spread:.2g}"
+    if np.std(velocity[has_both]) < DEAD * spread and find_velocity_lag(time, position, velocity) is None:
+        return f"varies by {np.std(velocity[has_both]):.2g} and the position's derivative by {spread:.2g}"
     return ""
 
 
 def compare_velocities(
     name: str, time: Signal, qpos: Columns, qvel: Columns, joints: Iterable[int], estimates: Columns | None
 ) -> tuple[list[str], list[int]]:
-    """Compare measured velocities with positions.
+    """Compare measured velocities [rad/s or m/s] with positions [rad or m] at uniform times [s].
 
-    Args:
-        name: Name of the recording, for messages.
-        time: Uniform sample times [s].
-        qpos: Positions [rad or m].
-        qvel: Velocities [rad/s or m/s].
-        joints: Numbers of the joints to compare.
-        estimates: Velocities estimated from the positions [rad/s or m/s]; None to keep all measured ones.
+    `estimates` are velocities derived from the positions; None keeps all measured ones. `name` is for messages.
 
     Returns:
-        A sentence about each joint whose velocity is less accurate than its estimate, and one about the joints whose
-        velocity does not match the position's derivative; and the numbers of the former joints.
+        Sentences on joints whose velocity is less accurate than the estimate, or unlike the position's derivative; and
+            the numbers of the former.
 
     Raises:
         LogError: The units of a velocity and its position differ.
     """
     worse, unlike = dict[int, str](), list[int]()
     for joint in joints if len(time) >= COMPARED else ():
-        found = find_velocity_lag(time, repair_spikes(qpos[:, joint]), qvel[:, joint])
-        if found is None:
+        match = find_velocity_lag(time, repair_spikes(qpos[:, joint]), qvel[:, joint])
+        if match is None:
             unlike.append(joint)
-        elif not 1 / SAME_UNIT < found[1] < SAME_UNIT:
+        elif not 1 / SAME_UNIT < match[1] < SAME_UNIT:
             raise LogError(
-                f"{name}: qvel{of_joints([joint], qvel)} is {found[1]:.4g} times the position's derivative, expected "
+                f"{name}: qvel{of_joints([joint], qvel)} is {match[1]:.4g} times the position's derivative, expected "
                 "about 1 (57.3: degrees, 9.55: rpm); set data.units, or data.clean.velocity=measured to use it "
                 "unchanged"
             )
         elif estimates is not None and (
-            why := _say_worse(qvel[:, joint], estimates[:, joint], found[0], float(time[1] - time[0]))
+            reason := _say_worse(qvel[:, joint], estimates[:, joint], match[0], float(time[1] - time[0]))
         ):
-            worse[joint] = f"qvel{of_joints([joint], qvel)} {why}"
-    said = list(worse.values())
+            worse[joint] = f"qvel{of_joints([joint], qvel)} {reason}"
+    sentences = list(worse.values())
     if unlike:
-        said.append(
+        sentences.append(
             f"qvel{of_joints(unlike, qvel)} does not match the position's derivative: check for swapped columns, or "
             "set data.clean.velocity=estimated"
         )
-    return said, list(worse)
+    return sentences, list(worse)
 
 
 def _say_worse(velocity: Signal, estimate: Signal, lag: float, timestep: float) -> str:
     """Return why an estimate from the position is more accurate than the measured velocity; empty if it is not.
 
-    The squared difference of both is the sum of the measurement's noise, its lag and the estimate's error. The noise
-    is found from differences of the velocity, and the part of the lag [s] by removing it.
+    Their mean squared difference is the sum of measurement noise, lag and estimation error. Differences of the velocity
+    show the noise; removing the lag [s] shows its part.
     """
     noise, samples = find_noise(velocity), round(lag / timestep)  # interpolation within samples would smooth the noise
-    difference, in_time = (
+    difference, aligned = (
         float(np.square(_later(velocity, shift) - _later(estimate, -shift)).mean()) for shift in (0, samples)
     )
-    late = max(difference - in_time, 0.0)
-    if not in_time - noise**2 < noise**2 + late:
+    lag_variance = max(difference - aligned, 0.0)
+    if not aligned - noise**2 < noise**2 + lag_variance:
         return ""
-    if late > noise**2:
+    if lag_variance > noise**2:
         return f"lags qpos by {1e3 * lag:.3g} ms"
     return f"has more noise ({noise:.2g} rad/s or m/s) than an estimate from qpos"
 

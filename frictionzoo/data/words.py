@@ -1,4 +1,4 @@
-"""Vocabulary of column headers: words that name signals, words without meaning, and how headers split into words.
+"""Vocabulary of column headers: words that name signals, words without meaning, and the split of headers into words.
 
 Only this module knows the prefixes and suffixes of signals, such as `q_`, `dq_`, `tau_`, `_pos`, `_velocity`.
 """
@@ -61,16 +61,16 @@ def find_signal(words: Sequence[str]) -> tuple[str, int] | None:
 
     `effort` stands for a torque, force, current, voltage or PWM value, commanded or measured.
     """
-    said = {*words}
-    if said & ACCELERATION:
+    present = {*words}
+    if present & ACCELERATION:
         return None
-    for place, (signal, telling) in enumerate(SIGNAL_WORDS):
-        if said.isdisjoint(telling.split()) or (signal in ("qpos", "kp", "kd") and said & TORQUE):
+    for place, (signal, signal_words) in enumerate(SIGNAL_WORDS):
+        if present.isdisjoint(signal_words.split()) or (signal in ("qpos", "kp", "kd") and present & TORQUE):
             continue  # state.tau_est is not a position, torKdEst not a gain
-        found = _find_commanded(said) if telling is COMMANDED else signal
+        name = _find_commanded(present) if signal_words is COMMANDED else signal
         # A header with a position word is preferred as the position command.
-        vague = found == "ctrl" and said.isdisjoint(POSITION.split())
-        return (found, 10 * place + len(words) + 5 * vague) if found else None
+        vague = name == "ctrl" and present.isdisjoint(POSITION.split())
+        return (name, 10 * place + len(words) + 5 * vague) if name else None
     return None
 
 

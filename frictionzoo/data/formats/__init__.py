@@ -12,12 +12,12 @@ __all__ = ["Format", "find_files", "format_names", "get_format", "read_tables", 
 
 
 def find_files(names: Sequence[str], folder: str | None, source: str | None) -> list[str]:
-    """Find the named files, each once, in the given order; files of a glob or folder are sorted by name.
+    """Find the named files, each once, in the given order; sort files of a glob or folder by name.
 
     Args:
         names: Paths of files or folders, or globs, in which `**` means any depth.
         folder: Folder of relative paths; None for the working directory.
-        source: Where to obtain files that the package does not contain; None for a user's own files.
+        source: Where to obtain files that the package does not contain; None for a user's files.
 
     Raises:
         LogError: A path matches no file.
@@ -25,22 +25,21 @@ def find_files(names: Sequence[str], folder: str | None, source: str | None) -> 
     obtain = "set FRICTIONZOO_DATA or data.folder to the folder that holds {} (from {})".format
     if source is not None and folder is None:
         raise LogError(f"data.folder=null: the recordings are not part of the package; {obtain(names[0], source)}")
-    found = []
+    all_files = []
     for name in names:
         path = Path(folder or "").expanduser() / Path(name).expanduser()
         files = _expand(path)
         if not files:
-            came = "no file in this folder" if path.is_dir() else "no such file"
+            problem = "no file in this folder" if path.is_dir() else "no such file"
             advice = (
                 f"; {obtain(name, source)}" if source is not None else f" (looked from {Path.cwd()}); check the path"
             )
-            raise LogError(f"{path}: {came}{advice}")
-        found += map(str, sorted(files))
-    return list(dict.fromkeys(found))
+            raise LogError(f"{path}: {problem}{advice}")
+        all_files += map(str, sorted(files))
+    return list(dict.fromkeys(all_files))
 
 
 def _expand(path: Path) -> list[Path]:
-    """Return the files of one path, folder or glob."""
     if path.is_dir() and not any(get_format(name).claims(path) for name in format_names()):
         return [inner for inner in path.iterdir() if inner.is_file() and not inner.name.startswith(".")]
     if path.exists():
@@ -49,11 +48,7 @@ def _expand(path: Path) -> list[Path]:
 
 
 def read_tables(path: str, format: str) -> list[Table]:
-    """Read the recordings at a path.
-
-    Args:
-        path: File, folder or archive.
-        format: Registered name, or `auto` to recognise it from name and contents.
+    """Read the recordings at a path (file, folder or archive); format `auto` recognises it from name and contents.
 
     Raises:
         LogError: The path cannot be read, is empty or has no known format.
@@ -77,16 +72,16 @@ def _recognise(path: Path) -> Format:
     if path.is_file():
         with path.open("rb") as file:
             head = file.read(128)
-    named = [each for each in formats if each.claims(path)]
-    alike = [each.name for each in formats if head.startswith(each.magic)]
-    if named and (not alike or any(each.name in alike for each in named)):
-        return named[0]
-    if len(alike) == 1 and not path.suffix:
-        return get_format(alike[0])
-    what = "a folder" if path.is_dir() else f"suffix {path.suffix or 'none'}"
-    if alike:
+    by_name = [candidate for candidate in formats if candidate.claims(path)]
+    by_content = [candidate.name for candidate in formats if head.startswith(candidate.magic)]
+    if by_name and (not by_content or any(candidate.name in by_content for candidate in by_name)):
+        return by_name[0]
+    if len(by_content) == 1 and not path.suffix:
+        return get_format(by_content[0])
+    description = "a folder" if path.is_dir() else f"suffix {path.suffix or 'none'}"
+    if by_content:
         raise LogError(
-            f"{path}: {what}, but its first bytes are those of {' or '.join(alike)}; rename it or set "
-            f"data.format={alike[0]}"
+            f"{path}: {description}, but its first bytes are those of {' or '.join(by_content)}; rename it or set "
+            f"data.format={by_content[0]}"
         )
-    raise LogError(f"{path}: {what} of no known format; set data.format to one of {', '.join(format_names())}")
+    raise LogError(f"{path}: {description} of no known format; set data.format to one of {', '.join(format_names())}")

@@ -36,8 +36,8 @@ class Bam(Format):
             log = parse_json(content)
             entries = log.get("entries") if isinstance(log, dict) else None
             if not entries or not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-                wanted = "expected JSON with a list of them, as BAM writes it"
-                raise LogError(f"{name}: no samples under `entries`, {wanted}")
+                advice = "expected JSON with a list of them, as BAM writes it"
+                raise LogError(f"{name}: no samples under `entries`, {advice}")
             columns, refused = {}, {}
             for header in dict.fromkeys(header for entry in entries for header in entry):
                 try:
@@ -60,12 +60,12 @@ def _array(values: Sequence[Any]) -> np.ndarray:
 
 def _fields(log: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str | float]]:
     """Return the header's single values, with `OUTER.INNER` as the name inside an object."""
-    found = []
+    fields = []
     for key, value in log.items():
         if isinstance(value, dict):
-            found += _fields(value, f"{prefix}{key}.")
+            fields += _fields(value, f"{prefix}{key}.")
         elif isinstance(value, str):
-            found.append((prefix + key, value))
+            fields.append((prefix + key, value))
         elif isinstance(value, int | float):
-            found.append((prefix + key, float(value)))
-    return found
+            fields.append((prefix + key, float(value)))
+    return fields

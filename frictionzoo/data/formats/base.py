@@ -55,7 +55,7 @@ class Format(ABC):
 
     @abstractmethod
     def parse(self, name: str, content: bytes) -> Table:
-        """Parse the bytes of a file to a table; `name` is for messages.
+        """Parse a file's bytes to a table; `name` is for messages.
 
         Raises:
             LogError: The bytes have another format or are damaged.
@@ -77,7 +77,7 @@ def get_format(name: str) -> Format:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read the bytes of a file; LogError if it cannot be read or is too large."""
+    """Read a file; LogError if it cannot be read or is too large."""
     try:
         check_size(str(path), path.stat().st_size)
         return path.read_bytes()
@@ -88,13 +88,13 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_size(name: str, size: int) -> None:
-    """Refuse a file size above `LIMIT` [bytes] with a LogError."""
+    """Raise LogError for a file size above `LIMIT` [bytes]."""
     if size > LIMIT:
         raise LogError(f"{name}: {size / 1e9:.1f} GB, expected at most {LIMIT / 1e9:.1f} GB; cut it into shorter logs")
 
 
 def check_unpacked(name: str, size: int, packed: int | None = None) -> None:
-    """Refuse an implausible unpacked size [bytes] with a LogError; `packed=None` allows any compression ratio."""
+    """Raise LogError for an implausible unpacked size [bytes]; `packed=None` allows any compression ratio."""
     if size > UNPACKED:
         most = f"{UNPACKED / 1e9:.1f} GB"
         raise LogError(f"{name}: {size / 1e9:.1f} GB unpacked, expected at most {most}; cut it into shorter logs")
@@ -107,21 +107,21 @@ def check_unpacked(name: str, size: int, packed: int | None = None) -> None:
 
 @contextmanager
 def parsing(name: str, what: str) -> Iterator[None]:
-    """Convert any error of a library on damaged bytes to a LogError of one line."""
+    """Convert a library's errors on damaged bytes to a LogError of one line."""
     try:
         yield
     except FrictionzooError:
         raise
     except MemoryError:
         raise LogError(f"{name}: does not fit into memory; expected {what}; cut it into shorter logs") from None
-    # Parsers raise many types of errors on damaged files (ValueError, TypeError, zlib.error, RecursionError, ...).
+    # Parsers raise many types of errors on damaged files: ValueError, zlib.error, RecursionError, ...
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise LogError(f"{name}: not readable as {what} ({reason}); copy or export it again") from None
 
 
 def unzip(name: str, content: bytes, suffix: str) -> Iterator[tuple[str, bytes]]:
-    """Yield names and bytes of the members of a zip archive with a suffix such as `.npy`, in the archive's order.
+    """Yield name and bytes of each member of a zip archive with a suffix such as `.npy`, in the archive's order.
 
     Unpacking stops at the size that the archive declares; checksums are verified.
 
@@ -134,16 +134,16 @@ def unzip(name: str, content: bytes, suffix: str) -> Iterator[tuple[str, bytes]]
         for member in archive.infolist():
             archive.open(member).close()  # raises if index and header differ: a damaged name may lose its suffix
         members = [member for member in archive.infolist() if member.filename.endswith(suffix)]
-        twice = [member for member, count in Counter(member.filename for member in members).items() if count > 1]
-        if twice:
-            raise LogError(f"{name}: two members {twice[0]}, expected one of each name; write the archive again")
+        duplicates = [member for member, count in Counter(member.filename for member in members).items() if count > 1]
+        if duplicates:
+            raise LogError(f"{name}: two members {duplicates[0]}, expected one of each name; write the archive again")
         check_unpacked(name, sum(member.file_size for member in members), len(content))
         for member in members:
             yield member.filename, _unpack(f"{name}!{member.filename}", archive, member)
 
 
 def _refuse_overlaps(name: str, archive: zipfile.ZipFile) -> None:
-    """Refuse members that share bytes, which would allow any unpacked size, with a LogError."""
+    """Raise LogError if members share bytes, which would allow any unpacked size."""
     end = 0
     for member in sorted(archive.infolist(), key=lambda member: member.header_offset):
         if member.header_offset < end:
@@ -154,7 +154,6 @@ def _refuse_overlaps(name: str, archive: zipfile.ZipFile) -> None:
 
 
 def _unpack(name: str, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Unpack one member."""
     # Python unpacks other methods without a size limit.
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise LogError(f"{name}: packed by method {member.compress_type}, expected deflate or none; zip it again")
@@ -166,16 +165,16 @@ def _unpack(name: str, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> byt
 
 
 def parse_json(content: bytes) -> Any:
-    """Parse JSON; ValueError for a repeated key in an object, where Python would keep the last."""
+    """Parse JSON; ValueError for a repeated key, where Python would keep the last."""
     return json.loads(content, object_pairs_hook=_unique)
 
 
 def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        raise ValueError(f"key {twice[:40]!r} twice in one object")
-    return found
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
+        duplicate = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise ValueError(f"key {duplicate[:40]!r} twice in one object")
+    return mapping
 
 
 def optional(module: str, package: str, name: str) -> ModuleType:
@@ -192,13 +191,13 @@ def tabulate(
     fields: Mapping[str, str | float] | None = None,
     refused: Mapping[str, str] | None = None,
 ) -> Table:
-    """Return a table from named values: vectors and matrices become columns, single numbers and texts become fields.
+    """Return a table of named values: vectors and matrices become columns, single numbers and texts become fields.
 
     `fields` and `refused` are added to the table's. LogError if two columns have one name.
     """
-    columns, refused, units, kept = {}, dict(refused or {}), {}, dict(fields or {})
-    for header, given in variables.items():
-        values = np.asarray(given)
+    columns, refused, units, all_fields = {}, dict(refused or {}), {}, dict(fields or {})
+    for header, value in variables.items():
+        values = np.asarray(value)
         if values.dtype.kind == "M":
             exact = values.astype("M8[ns]")
             if not (exact.astype(values.dtype) == values).all():
@@ -206,23 +205,23 @@ def tabulate(
                 continue
             values, units[header] = exact.astype(np.int64), "ns"
         if values.size == 1 and values.dtype.kind in "US":
-            kept[header] = str(values.item())
+            all_fields[header] = str(values.item())
         elif values.dtype.kind not in "biuf":
             refused[header] = f"{name}: {header} is of type {values.dtype}, expected real numbers"
         elif values.ndim == 0:
-            kept[header] = float(values)
+            all_fields[header] = float(values)
         elif values.ndim > 2 or sorted(values.shape)[:-1] > [WIDE]:
             refused[header] = f"{name}: {header} has shape {values.shape}, expected (time,) or (time, columns)"
         else:
             try:
-                found = _columns(header, values)
+                new_columns = _columns(header, values)
             except ValueError as error:
                 refused[header] = f"{name}: {header} {error}"
                 continue
-            for twice in columns.keys() & found.keys():
-                raise LogError(f"{name}: two columns {twice}, expected one; rename the others")
-            columns |= found
-    return Table(name, columns, kept, refused=refused, units=units)
+            for duplicate in columns.keys() & new_columns.keys():
+                raise LogError(f"{name}: two columns {duplicate}, expected one; rename the others")
+            columns |= new_columns
+    return Table(name, columns, all_fields, refused=refused, units=units)
 
 
 def _columns(header: str, values: np.ndarray) -> dict[str, np.ndarray]:

@@ -31,20 +31,19 @@ class Csv(Format):
             headers = [header.strip() for header in next(reader, [])]
             for row in filter(None, reader):
                 if len(row) != len(headers):
-                    came = f"{name}, line {reader.line_num}: {len(row)} cells"
-                    raise LogError(f"{came}, expected {len(headers)} as in the header")
+                    problem = f"{name}, line {reader.line_num}: {len(row)} cells"
+                    raise LogError(f"{problem}, expected {len(headers)} as in the header")
                 lines.append(reader.line_num)
                 rows.append(row)
         except csv.Error as error:
-            came = f"{name}, line {reader.line_num}: not a CSV table ({error})"
-            raise LogError(f"{came}; expected comma-separated rows") from None
+            problem = f"{name}, line {reader.line_num}: not a CSV table ({error})"
+            raise LogError(f"{problem}; expected comma-separated rows") from None
         if headers and not rows:
             raise LogError(f"{name}: a header and no samples, expected at least 2; record a longer log")
         return _sort_out(name, headers, lines, list(zip(*rows, strict=True)))
 
 
 def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Sequence[Sequence[str]]) -> Table:
-    """Return a table of the numeric columns, with error messages for the others."""
     columns, refused = {}, {}
     counts = Counter(headers)
     for header, column in zip(headers, cells, strict=True):
@@ -54,11 +53,11 @@ def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Se
         try:
             columns[header] = _numbers(column)
         except ValueError as error:
-            bad = next((place for place, cell in enumerate(column) if not _is_number(cell)), None)
+            bad_row = next((place for place, cell in enumerate(column) if not _is_number(cell)), None)
             refused[header] = (
                 f"{name}: {header} {error}"
-                if bad is None
-                else f"{name}, line {lines[bad]}: {header} is {column[bad][:40]!r}, expected a number"
+                if bad_row is None
+                else f"{name}, line {lines[bad_row]}: {header} is {column[bad_row][:40]!r}, expected a number"
             )
     return Table(name, columns, refused=refused)
 
@@ -68,8 +67,8 @@ def _decode(name: str, content: bytes) -> str:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        came = f"{name}: byte {error.start} is not UTF-8 text"
-        raise LogError(f"{came}; expected a CSV file, export it as UTF-8") from None
+        problem = f"{name}: byte {error.start} is not UTF-8 text"
+        raise LogError(f"{problem}; expected a CSV file, export it as UTF-8") from None
     if "\0" in text:
         raise LogError(f"{name}: holds a zero byte; expected a CSV file as UTF-8 text")
     return text

@@ -36,13 +36,12 @@ class LeRobot(Format):
         return [table for file in files for table in _episodes(path, file, names, fields)]
 
     def parse(self, name: str, content: bytes) -> Table:
-        """Return one table of all frames in a file, of any episode."""
+        """Return one table of all frames in a file."""
         columns, refused = read_columns(name, content)
         return tabulate(name, columns, refused=refused)
 
 
 def _info(path: Path) -> tuple[dict[str, list[str]], dict[str, str | float]]:
-    """Read the names of each feature's entries, and the fields of all episodes."""
     file = path / INFO
     with parsing(str(file), "the description of a LeRobot data set"):
         info = parse_json(read_bytes(file))
@@ -65,29 +64,27 @@ def _names(given: Any) -> list[str]:
 def _episodes(
     path: Path, file: Path, names: Mapping[str, Sequence[str]], fields: Mapping[str, str | float]
 ) -> Iterator[Table]:
-    """Yield one table for each episode of a file."""
     content = read_bytes(file)
     with parsing(str(file), "episodes of a LeRobot data set"):
         stored, refused = read_columns(str(file), content)
         columns = _named(str(file), stored, names)
         episode = columns.pop("episode_index", np.zeros(len(next(iter(columns.values()), ()))))
         for number in np.unique(episode):
-            own = {header: values[episode == number] for header, values in columns.items()}
-            table = tabulate(f"{path}!episode_{int(number):06d}", own, fields, refused)
+            episode_columns = {header: values[episode == number] for header, values in columns.items()}
+            table = tabulate(f"{path}!episode_{int(number):06d}", episode_columns, fields, refused)
             yield replace(table, sha256=hashlib.sha256(content).hexdigest())
 
 
 def _named(file: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
-    """Split matrices into one named column an entry."""
-    found = {}
+    named = {}
     for header, values in columns.items():
-        known = names.get(header, ())
+        listed = names.get(header, ())
         if values.ndim != 2:
             entries = {header: values}
         else:
-            labels = known if len(known) == values.shape[1] else range(values.shape[1])
+            labels = listed if len(listed) == values.shape[1] else range(values.shape[1])
             entries = {f"{header}[{label}]": entry for label, entry in zip(labels, values.T, strict=True)}
             if len(entries) < values.shape[1]:
-                raise LogError(f"{file}: {header} has the names {', '.join(known)}, expected each once; mend {INFO}")
-        found |= entries
-    return found
+                raise LogError(f"{file}: {header} has the names {', '.join(listed)}, expected each once; mend {INFO}")
+        named |= entries
+    return named

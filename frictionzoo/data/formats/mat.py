@@ -27,7 +27,7 @@ class Mat(Format):
     magic: ClassVar[tuple[bytes, ...]] = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
 
     def parse(self, name: str, content: bytes) -> Table:
-        """Return the table of the variables in a file."""
+        """Return the table of a file's variables."""
         if HDF5 in content[:1024] or content.startswith(b"MATLAB 7.3"):
             raise LogError(f"{name}: a MATLAB 7.3 file, expected version 7 or below; in MATLAB: save(..., '-v7')")
         with parsing(name, "a MATLAB file"):
@@ -73,7 +73,7 @@ def _check_sizes(name: str, content: bytes) -> None:
 
 
 def _check_sizes_4(name: str, content: bytes) -> None:
-    """Check that each variable of a version 4 file has its declared size, with the byte order that SciPy uses."""
+    """Check that each variable of a version 4 file has its declared size, in the byte order that SciPy uses."""
     order = "<" if struct.unpack_from("<i", content)[0] in range(5000) else ">"
     place = 0
     while place < len(content):
@@ -97,15 +97,15 @@ def _check_sizes_4(name: str, content: bytes) -> None:
 
 
 def _unpacked_size(name: str, packed: memoryview, order: str) -> int:
-    """Return the unpacked size of a variable [bytes]; LogError if it differs from the declared size."""
+    """Return a variable's unpacked size [bytes]; LogError if it differs from the declared size."""
     zipped = zlib.decompressobj()
     _, declared = struct.unpack(f"{order}II", zipped.decompress(packed, 8))
     check_unpacked(name, declared, len(packed))
-    came, rest = 0, True
-    # Unpack to the end: the checksum there is not verified by SciPy.
-    while rest and not zipped.eof and came <= declared:
+    size, rest = 0, True
+    # Unpack to the end: SciPy does not verify the checksum there.
+    while rest and not zipped.eof and size <= declared:
         piece = zipped.decompress(zipped.unconsumed_tail, BLOCK)
-        came, rest = came + len(piece), bool(piece or zipped.unconsumed_tail)
-    if came != declared or not zipped.eof:
+        size, rest = size + len(piece), bool(piece or zipped.unconsumed_tail)
+    if size != declared or not zipped.eof:
         raise LogError(f"{name}: a variable does not unpack to its {declared} bytes; copy or export it again")
     return declared

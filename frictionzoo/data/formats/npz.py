@@ -20,25 +20,25 @@ class Npz(Format):
     magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """Return the table of the arrays in an archive."""
+        """Return the table of an archive's arrays."""
         with parsing(name, "an .npz archive"):
             members = unzip(name, content, ".npy")
-            arrays = {member[: -len(".npy")]: _array(f"{name}!{member}", held) for member, held in members}
+            arrays = {member[: -len(".npy")]: _array(f"{name}!{member}", array) for member, array in members}
             return tabulate(name, arrays)
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
-    """Read one array, after checking that its declared shape matches the number of bytes."""
+    """Read one array whose declared shape must match the number of bytes."""
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     if version not in HEADERS:
         raise LogError(f"{name}: .npy version {version}, expected 1.0 or 2.0; save it again")
     shape, _, dtype = HEADERS[version](file)
     if dtype.hasobject:
-        why = "which reading could let run any program"
-        raise LogError(f"{name}: holds Python objects, {why}; expected arrays of numbers")
-    declared, came = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize, len(content) - file.tell()
-    if declared != came:
-        raise LogError(f"{name}: {came} bytes, expected {declared} for shape {shape}; copy or save it again")
+        reason = "which reading could let run any program"
+        raise LogError(f"{name}: holds Python objects, {reason}; expected arrays of numbers")
+    declared, size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize, len(content) - file.tell()
+    if declared != size:
+        raise LogError(f"{name}: {size} bytes, expected {declared} for shape {shape}; copy or save it again")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)

@@ -20,13 +20,13 @@ class Parquet(Format):
     magic: ClassVar[tuple[bytes, ...]] = (b"PAR1",)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """Return the table of the columns in a file."""
+        """Return the table of a file's columns."""
         columns, refused = read_columns(name, content)
         return tabulate(name, columns, refused=refused)
 
 
 def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Read the columns of a Parquet file as arrays, lists as matrices, and return error messages for unusable columns.
+    """Read the columns of a Parquet file as arrays, lists as matrices; return error messages for unusable columns.
 
     Raises:
         LogError: The file is damaged, or pyarrow is not installed.
@@ -40,13 +40,13 @@ def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict
         check_unpacked(name, max(sum(sizes), 8 * rows * file.metadata.num_columns))
         if min([rows, *sizes]) < 0 or rows != sum(group.num_rows for group in groups):
             raise LogError(f"{name}: its sizes contradict each other, expected a Parquet file; export it again")
-        wanted = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
+        numeric = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
         refused = {
             field.name: f"{name}: {field.name} is of type {field.type}, expected real numbers"
             for field in file.schema_arrow
             if not _is_numeric(field.type)
         }
-        table = file.read(columns=wanted)
+        table = file.read(columns=numeric)
         columns = {header: table.column(header).combine_chunks() for header in table.column_names}
         for header, column in columns.items():
             if len(column) != rows:
@@ -55,7 +55,6 @@ def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict
 
 
 def _is(kind: Any, *names: str) -> bool:
-    """Return whether an Arrow type is one of these."""
     types = optional("pyarrow.types", "pyarrow", "parquet")
     return any(getattr(types, f"is_{name}")(kind) for name in names)
 

@@ -1,7 +1,7 @@
 """ROS 2 recordings, as rosbag2 folders or MCAP files, read by rosbags.
 
-Only message definitions of ROS's standard packages are used. Definitions inside a recording are ignored, because
-rosbags turns them into Python code and runs it.
+Only message definitions of ROS's standard packages are used: rosbags would turn those in a recording into Python code
+and run it.
 """
 
 import hashlib
@@ -38,7 +38,7 @@ class Ros(Format):
     """ROS 2 recording with a column `TOPIC/FIELD` for each number and `TOPIC/FIELD[NAME]` for each entry of an array.
 
     Each topic has a time column `TOPIC/time` [ns]: the header stamps if all messages have one, otherwise the times of
-    reception. A column that is missing in some messages has a separate time column, `TOPIC/FIELD[NAME]/time`.
+    reception. A column missing in some messages has a separate time column, `TOPIC/FIELD[NAME]/time`.
     """
 
     def read(self, path: Path) -> list[Table]:
@@ -54,17 +54,17 @@ class Ros(Format):
                 _check(file)
                 with file.open("rb") as stream:
                     digests.append(hashlib.file_digest(stream, "sha256"))
-            sha256 = digests[0] if path.is_file() else hashlib.sha256(b"".join(each.digest() for each in digests))
+            sha256 = digests[0] if path.is_file() else hashlib.sha256(b"".join(digest.digest() for digest in digests))
             store = typesys.get_typestore(typesys.Stores.LATEST)
             store.max_sequence_length = LONGEST
             with reader.Reader(path) as bag:
                 if bag.compression_mode:
-                    wanted = "expected a bag that is not or whose storage is; unpack it with `ros2 bag convert`"
-                    raise LogError(f"{path}: compressed by {bag.compression_mode}, {wanted}")
+                    expected = "expected a bag that is not or whose storage is; unpack it with `ros2 bag convert`"
+                    raise LogError(f"{path}: compressed by {bag.compression_mode}, {expected}")
                 return [replace(_read(str(path), bag, store), sha256=sha256.hexdigest())]
 
     def parse(self, name: str, content: bytes) -> Table:
-        """Raise LogError: ROS 2 recordings are read from files or folders only."""
+        """Raise LogError: only files and folders can be read."""
         raise LogError(f"{name}: a ROS 2 recording in an archive, expected a file or a folder; unpack it")
 
 
@@ -103,7 +103,7 @@ class Topic:
     samples: dict[str, tuple[list[int], list[float]]] = field(default_factory=lambda: defaultdict(lambda: ([], [])))
 
     def add(self, message: Any, received: int) -> None:
-        """Add a message as one sample, or a trajectory as one sample a point."""
+        """Add a message as one sample, or a trajectory as one sample per point."""
         stamped = _nanoseconds(message.header.stamp) if hasattr(message, "header") else 0
         names = _names(message)
         points = getattr(message, "points", None) if names else None
@@ -128,33 +128,32 @@ class Topic:
         """Yield header, header of the time column, times [ns] and values of each column."""
         time = np.array(self.stamped if all(self.stamped) else self.received, dtype=np.int64)
         for header, (places, values) in self.samples.items():
-            whole = len(places) == len(time)
-            own = f"{topic}/time" if whole else f"{topic}{header}/time"
-            yield f"{topic}{header}", own, time[places], values
+            is_complete = len(places) == len(time)
+            time_header = f"{topic}/time" if is_complete else f"{topic}{header}/time"
+            yield f"{topic}{header}", time_header, time[places], values
 
 
 def _read(name: str, bag: Any, store: Any) -> Table:
-    """Read the numbers of all messages of a known type."""
-    known = [connection for connection in bag.connections if connection.msgtype in store.types]
-    wanted = "expected one of ROS's own packages; record it as JointState or Float64MultiArray, or export it as CSV"
+    readable = [connection for connection in bag.connections if connection.msgtype in store.types]
+    advice = "expected one of ROS's own packages; record it as JointState or Float64MultiArray, or export it as CSV"
     refused = {
-        connection.topic: f"{name}: {connection.topic} is of type {connection.msgtype}, {wanted}"
+        connection.topic: f"{name}: {connection.topic} is of type {connection.msgtype}, {advice}"
         for connection in bag.connections
         if connection.msgtype not in store.types
     }
     topics, counts, expected = defaultdict(Topic), Counter(), Counter()
-    for connection, received, content in bag.messages(known) if known else ():
+    for connection, received, content in bag.messages(readable) if readable else ():
         topics[connection.topic].add(store.deserialize_cdr(content, connection.msgtype), received)
         counts[connection.topic] += 1
-    for connection in known:
+    for connection in readable:
         expected[connection.topic] += connection.msgcount
     for topic, count in expected.items():
         if count and count != counts[topic]:
             raise LogError(f"{name}: {topic} has {counts[topic]} messages, expected {count}; copy or record it again")
     columns, times, units = {}, {}, {}
-    joints = {connection.topic for connection in known if connection.msgtype == "sensor_msgs/msg/JointState"}
-    for topic, kept in topics.items():
-        for header, time_header, time, values in kept.columns(topic):
+    joints = {connection.topic for connection in readable if connection.msgtype == "sensor_msgs/msg/JointState"}
+    for topic, samples in topics.items():
+        for header, time_header, time, values in samples.columns(topic):
             try:
                 columns |= {time_header: base.to_numbers(time), header: base.to_numbers(np.array(values))}
             except ValueError as error:
@@ -171,13 +170,12 @@ def _nanoseconds(stamp: Any) -> int:
 
 
 def _names(message: Any) -> list[str]:
-    """Return the joint names of a message; empty if it has none."""
     names = getattr(message, "name", None) or getattr(message, "joint_names", None)
     return names if isinstance(names, list) else []
 
 
 def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in a message with their field paths; texts, headers and wide arrays are left out."""
+    """Yield a message's numbers with their field paths; skip texts, headers and wide arrays."""
     if isinstance(value, int | float | np.number):
         yield path, value.item() if isinstance(value, np.number) else value
     elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= base.WIDE:
@@ -192,10 +190,7 @@ def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, flo
 
 
 def _check(file: Path) -> None:
-    """Check that a file is not too large and that the messages of each topic are in order of time.
-
-    rosbags sorts messages, which hides a clock that was set back.
-    """
+    """Check a file's size and each topic's time order; rosbags sorts messages, which hides a clock set back."""
     name, size = str(file), file.stat().st_size
     base.check_size(name, size)
     if file.suffix == ".mcap":
@@ -211,13 +206,13 @@ def _check(file: Path) -> None:
 
 
 def _refuse_backwards(name: str, messages: Iterable[tuple[int, int]]) -> None:
-    """Refuse messages, given as topic number and time [ns], that go backwards within a topic, with a LogError."""
+    """Raise LogError if messages (topic number, time [ns]) go backwards within a topic."""
     last: dict[int, int] = {}
     for topic, received in messages:
-        before = last.get(topic, received)
-        if received < before:
+        previous = last.get(topic, received)
+        if received < previous:
             raise LogError(
-                f"{name}: a message was received at {received} ns, after one of its topic at {before} ns; expected "
+                f"{name}: a message was received at {received} ns, after one of its topic at {previous} ns; expected "
                 "times that do not run backwards; cut it there, or order it by `mcap sort` or `ros2 bag convert`"
             )
         last[topic] = received
@@ -260,7 +255,6 @@ def _scan(name: str, stream: BinaryIO, size: int) -> Iterator[tuple[int, int]]:
 
 
 def _messages(records: bytes) -> Iterator[tuple[int, int]]:
-    """Yield channel and time [ns] of each message in a chunk."""
     place = 0
     while place < len(records):
         kind, length = struct.unpack_from("<BQ", records, place)
