@@ -24,12 +24,7 @@ Usual = Callable[[str, Sequence[str]], Factors]
 
 
 class Candidate(NamedTuple):
-    """Functions of the drive's state that may explain an error.
-
-    Attributes:
-        columns: Their values in each row.
-        tried: Number of similar candidates from which it was chosen.
-    """
+    """Functions of the drive's state in each row that may explain an error, chosen from `tried` similar sets."""
 
     columns: Columns
     tried: int = 1
@@ -39,9 +34,7 @@ class Explained(NamedTuple):
     """A candidate that explains a part of an error.
 
     Attributes:
-        name: Its name.
-        share: Share of the variance beyond the known columns that it explains in held-out rows, in addition to the
-            candidates found before it.
+        share: Share of the variance beyond known columns and earlier candidates that it explains in held-out rows.
         chance: Probability that an unrelated error scores as high, times the number of candidates.
     """
 
@@ -57,39 +50,33 @@ def attribute(
     joints: int = 1,
     usual: Usual = lambda name, before: 0.0,
 ) -> list[Explained]:
-    """Find the candidates that explain an error, each in addition to those found before it.
+    """Find the candidates that explain an error, each beyond those found before it; return the largest share first.
 
-    The error is first projected off the `known` columns. A candidate counts if Wald's test rejects that its
-    coefficients equal the usual factors, and if it lowers the error in held-out stretches. The covariance comes from
-    the differences between stretches of time, within which errors may be correlated.
+    The error is first projected off the `known` columns, the effects of the model's parameters. Of similar candidates,
+    the first is preferred. A candidate counts if Wald's test rejects that its coefficients equal the `usual` factors,
+    which occur without model error, and if it lowers the error in held-out stretches. The significance holds for all
+    candidates and `joints` together. The covariance comes from the differences between stretches of time, within which
+    errors may be correlated.
 
     Source: A. C. Cameron, D. L. Miller, "A Practitioner's Guide to Cluster-Robust Inference", Journal of Human
     Resources 50(2), 2015, section VI, the jackknife CR3.
-
-    Args:
-        error: Error of each row.
-        known: Effect of the model's parameters on the error.
-        candidates: Candidates by name; of those that explain as much, the first is preferred.
-        joints: Number of joints tested in this way.
-        usual: Factors of a candidate's columns without model error, beyond those found before it.
-
-    Returns:
-        Significant candidates, largest share first.
     """
-    found: list[Explained] = []
+    explained: list[Explained] = []
     count = joints * sum(candidate.tried for candidate in candidates.values())
-    left, whole = dict(candidates), _left_by(known, error)
-    while left and len(found) < MOST:
-        before = [one.name for one in found]
-        looks = [_try(error, known, name, one, count, whole, usual(name, before)) for name, one in left.items()]
-        tried = [one for one in looks if one is not None]
-        if not tried:
+    remaining, total = dict(candidates), _left_by(known, error)
+    while remaining and len(explained) < MOST:
+        before = [entry.name for entry in explained]
+        trials = [
+            _try(error, known, name, entry, count, total, usual(name, before)) for name, entry in remaining.items()
+        ]
+        significant = [entry for entry in trials if entry is not None]
+        if not significant:
             break
-        most = max(one.share for one in tried)
-        best = next(one for one in tried if one.share >= ALIKE * most)
-        found.append(best)
-        known = np.column_stack([known, left.pop(best.name).columns])
-    return sorted(found, key=lambda one: -one.share)
+        largest = max(entry.share for entry in significant)
+        best = next(entry for entry in significant if entry.share >= ALIKE * largest)
+        explained.append(best)
+        known = np.column_stack([known, remaining.pop(best.name).columns])
+    return sorted(explained, key=lambda entry: -entry.share)
 
 
 def find_factors(error: Column, known: Columns, columns: Columns) -> Float[np.ndarray, "_"]:
@@ -103,18 +90,18 @@ def find_factors(error: Column, known: Columns, columns: Columns) -> Float[np.nd
 def pick(error: Column, known: Columns, choices: Sequence[Columns]) -> int:
     """Return the index of the set of columns that explains most of an error beyond the known columns."""
     basis = _orthogonal(known)
-    rest = error - basis @ (basis.T @ error)
+    residual = error - basis @ (basis.T @ error)
     explained = []
     for columns in choices:
-        own = _orthogonal(columns - basis @ (basis.T @ columns))
-        explained.append(float(np.square(own.T @ rest).sum()))
+        directions = _orthogonal(columns - basis @ (basis.T @ columns))
+        explained.append(float(np.square(directions.T @ residual).sum()))
     return int(np.argmax(explained))
 
 
 def correlation(error: Column) -> float:
     """Return the correlation of neighbouring rows; 0 for a constant."""
-    rest = error - error.mean()
-    return float(rest[1:] @ rest[:-1] / max(float(rest @ rest), 1e-300))
+    centred = error - error.mean()
+    return float(centred[1:] @ centred[:-1] / max(float(centred @ centred), 1e-300))
 
 
 def excess(error: Column) -> float:
@@ -135,29 +122,29 @@ def _try(
     basis = _orthogonal(known)
     columns = _orthogonal(_beyond(candidate.columns, basis))
     ordinary = (candidate.columns * usual).sum(axis=1)
-    more = float(np.square(columns.T @ error).sum() - np.square(columns.T @ ordinary).sum()) / whole
+    gain = float(np.square(columns.T @ error).sum() - np.square(columns.T @ ordinary).sum()) / whole
     error = error - ordinary
-    rest = error - basis @ (basis.T @ error)
-    stretch = _stretches(rest - columns @ (columns.T @ rest))
+    residual = error - basis @ (basis.T @ error)
+    stretch = _stretches(residual - columns @ (columns.T @ residual))
     if not columns.shape[1] or stretch[-1] < 2 * columns.shape[1]:
         return None
-    chance = min(1.0, count * _chance(rest, columns, stretch))
-    share = (float(rest @ rest) - _held_out(rest, columns, stretch % FOLDS)) / whole
+    chance = min(1.0, count * _chance(residual, columns, stretch))
+    share = (float(residual @ residual) - _held_out(residual, columns, stretch % FOLDS)) / whole
     # Only deviations from the usual factors that increase the error count.
-    return Explained(name, share, chance) if chance <= LEVEL and min(share, more) >= SHARE else None
+    return Explained(name, share, chance) if chance <= LEVEL and min(share, gain) >= SHARE else None
 
 
 def _stretches(error: Column) -> Int[np.ndarray, "rows"]:
-    """Return the stretch number of each row; stretches are long compared with the correlation time of the error."""
-    alike = min(max(correlation(error), 0.0), 0.99)
-    count = max(1, min(STRETCHES, int(len(error) / max(ROWS, LASTING * (1 + alike) / (1 - alike)))))
+    """Return each row's stretch; stretches are long compared with the correlation time of the error."""
+    coefficient = min(max(correlation(error), 0.0), 0.99)
+    count = max(1, min(STRETCHES, int(len(error) / max(ROWS, LASTING * (1 + coefficient) / (1 - coefficient)))))
     return np.arange(len(error)) * count // len(error)
 
 
 def _chance(error: Column, columns: Columns, stretch: Int[np.ndarray, "rows"]) -> float:
     """Return the probability of coefficients of orthonormal columns at least as far from 0 if they are 0.
 
-    The jackknife over stretches gives their covariance; it is conservative where few stretches dominate.
+    Their covariance comes from the jackknife over stretches, conservative where few stretches dominate.
     """
     count, size = int(stretch[-1]) + 1, columns.shape[1]
     parts = np.split(np.arange(len(error)), np.searchsorted(stretch, np.arange(1, count)))
@@ -165,26 +152,26 @@ def _chance(error: Column, columns: Columns, stretch: Int[np.ndarray, "rows"]) -
     score = np.stack([columns[part].T @ error[part] for part in parts])
     values = score.sum(axis=0)
     without = np.linalg.pinv(np.eye(size) - gram, hermitian=True) @ (values - score)[:, :, None]
-    moved = without[:, :, 0] - values
-    spread = (count - 1) / count * moved.T @ moved
-    squared = values @ np.linalg.pinv(spread, hermitian=True) @ values
+    deviation = without[:, :, 0] - values
+    covariance = (count - 1) / count * deviation.T @ deviation
+    squared = values @ np.linalg.pinv(covariance, hermitian=True) @ values
     return float(scipy.stats.f.sf(squared * (count - size) / (size * (count - 1)), size, count - size))
 
 
 def _held_out(error: Column, columns: Columns, folds: Int[np.ndarray, "rows"]) -> float:
     """Return the cross-validated sum of squares that orthonormal columns do not explain."""
-    left = 0.0
+    squares = 0.0
     for fold in range(FOLDS):
-        out = folds == fold
-        values = np.linalg.lstsq(columns[~out], error[~out], rcond=_SPANNED)[0]
-        left += float(np.square(error[out] - columns[out] @ values).sum())
-    return left
+        held_out = folds == fold
+        values = np.linalg.lstsq(columns[~held_out], error[~held_out], rcond=_SPANNED)[0]
+        squares += float(np.square(error[held_out] - columns[held_out] @ values).sum())
+    return squares
 
 
 def _beyond(columns: Columns, basis: Columns) -> Columns:
     """Subtract from columns their projection on a basis; 0 where the basis spans a column."""
-    rest = columns - basis @ (basis.T @ columns)
-    return np.where(_sizes(rest) > _SPANNED * _sizes(columns), rest, 0.0)
+    remainder = columns - basis @ (basis.T @ columns)
+    return np.where(_sizes(remainder) > _SPANNED * _sizes(columns), remainder, 0.0)
 
 
 def _orthogonal(columns: Columns) -> Columns:

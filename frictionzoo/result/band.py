@@ -13,12 +13,7 @@ from frictionzoo.result.curves import Curves
 
 
 class Band(NamedTuple):
-    """Prediction interval of the position, from the first sample after the start of each rollout.
-
-    Attributes:
-        low: Lower end [rad or m].
-        high: Upper end [rad or m].
-    """
+    """Ends of the position's prediction interval [rad or m], from the first sample after each rollout's start."""
 
     low: Float[np.ndarray, "batch time nv"]
     high: Float[np.ndarray, "batch time nv"]
@@ -40,14 +35,11 @@ def predict_band(
 
     The interval holds for motion like that of the training recordings, not for other kinds of motion or other loads.
 
+    `place` names the drive in messages. `simulate` returns the positions in the rollouts, with some fitted values
+    replaced by drawn ones, by full name; empty `draws`: fitted values only.
+
     Source: R. Stine, "Bootstrap prediction intervals for regression", 1985, with errors of whole rollouts, which are
     correlated in time, like the blocks of S. Lahiri, "Resampling Methods for Dependent Data", 2003.
-
-    Args:
-        place: Name of the drive for messages.
-        simulate: Function that returns the positions in the rollouts, with some fitted values replaced.
-        draws: Drawn parameters by full name; empty: use the fitted values only.
-        curves: Curves with `train_errors`.
 
     Raises:
         RunError: Fewer than two training rollouts have errors.
@@ -58,14 +50,14 @@ def predict_band(
             "least, better 40; set evaluation.rollouts, and run it again"
         )
     errors = curves.train_errors * _widening(len(curves.train_errors))
-    count = max((len(own) for own in draws.values()), default=1)
+    count = max((len(values) for values in draws.values()), default=1)
     length = errors.shape[1]
-    drives = [simulate({name: own[number] for name, own in draws.items()})[:, :length] for number in range(count)]
+    drives = [simulate({name: values[number] for name, values in draws.items()})[:, :length] for number in range(count)]
     drives = [drive for drive in drives if np.isfinite(drive).all()] or drives
     share = (1 - LEVEL) / 2
     ends = [
-        np.quantile(of[:, None] - errors[None, :, : of.shape[1]], [share, 1 - share], axis=(0, 1))
-        for of in np.stack(drives, axis=1)
+        np.quantile(positions[:, None] - errors[None, :, : positions.shape[1]], [share, 1 - share], axis=(0, 1))
+        for positions in np.stack(drives, axis=1)
     ]
     low, high = np.stack(ends, axis=1)
     return Band(low, high)

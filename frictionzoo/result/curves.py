@@ -95,25 +95,20 @@ _ARRAYS = tuple(each.name for each in fields(Curves) if each.name not in _NAMED)
 def write_curves(folder: Path, curves: Curves) -> None:
     """Write `curves.safetensors` into a run's folder.
 
-    Args:
-        folder: The run's folder.
-        curves: Arrays to write.
-
     Raises:
         OutputError: It cannot be written.
     """
     arrays = {name: getattr(curves, name) for name in _ARRAYS} | curves.signals.named()
     arrays |= {f"{_HISTORY}{name}": values for name, values in curves.history.items()}
-    arrays |= {f"{_PORTRAITS}{o}.{n}": a for o, own in curves.portraits.items() for n, a in own._asdict().items()}
-    whole = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in arrays.items()}
-    write_atomically(folder / FILE, safetensors.numpy.save(whole))
+    arrays |= {
+        f"{_PORTRAITS}{o}.{n}": a for o, portrait in curves.portraits.items() for n, a in portrait._asdict().items()
+    }
+    tensors = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in arrays.items()}
+    write_atomically(folder / FILE, safetensors.numpy.save(tensors))
 
 
 def read_curves(folder: Path) -> Curves:
     """Read `curves.safetensors` of a run.
-
-    Args:
-        folder: The run's folder.
 
     Raises:
         RunError: The file is missing, damaged or of another version.
@@ -123,13 +118,13 @@ def read_curves(folder: Path) -> Curves:
         arrays: dict[str, Any] = safetensors.numpy.load(path.read_bytes())
         history = {key.removeprefix(_HISTORY): value for key, value in arrays.items() if key.startswith(_HISTORY)}
         signals = Signals.from_named(arrays)
-        over = sorted({key.split(".")[1] for key in arrays if key.startswith(_PORTRAITS)})
+        quantities = sorted({key.split(".")[1] for key in arrays if key.startswith(_PORTRAITS)})
         portraits = {
-            name: Portrait(*(arrays[f"{_PORTRAITS}{name}.{each}"] for each in Portrait._fields)) for name in over
+            name: Portrait(*(arrays[f"{_PORTRAITS}{name}.{part}"] for part in Portrait._fields)) for name in quantities
         }
-        named = {"signals": signals, "history": history, "portraits": portraits}
-        kept = [name for name in _ARRAYS if name in arrays or name not in LATER]
-        curves = Curves(**{name: arrays[name] for name in kept}, **named)
+        mappings = {"signals": signals, "history": history, "portraits": portraits}
+        names = [name for name in _ARRAYS if name in arrays or name not in LATER]
+        curves = Curves(**{name: arrays[name] for name in names}, **mappings)
         _check_shapes(curves)
         return curves
     except OSError as error:
@@ -141,11 +136,11 @@ def read_curves(folder: Path) -> Curves:
 
 
 def _check_shapes(curves: Curves) -> None:
-    """Raise ValueError if an array does not match the shape in its annotation; named sizes are shared by all arrays."""
+    """Raise ValueError if an array does not match the shape in its annotation; all arrays share named sizes."""
     sizes: dict[str, int] = {}
     _check_record(curves, get_type_hints(Curves), sizes)
-    for over, portrait in curves.portraits.items():
-        _check_record(portrait, get_type_hints(Portrait), {"nv": sizes["nv"]}, f"{_PORTRAITS}{over}.")
+    for quantity, portrait in curves.portraits.items():
+        _check_record(portrait, get_type_hints(Portrait), {"nv": sizes["nv"]}, f"{_PORTRAITS}{quantity}.")
     for name, values in curves.history.items():
         if values.ndim not in (1, 2) or len(values) != len(curves.history["iteration"]) or "loss" not in curves.history:
             raise ValueError(
@@ -161,7 +156,7 @@ def _check_record(record: Any, types: Mapping[str, Any], sizes: dict[str, int], 
         if not hasattr(annotated, "dim_str"):
             continue
         array, wanted = getattr(record, name), annotated.dim_str.split()
-        shared = [sizes.setdefault(each, size) for each, size in zip(wanted, array.shape, strict=False)]
+        shared = [sizes.setdefault(dimension, size) for dimension, size in zip(wanted, array.shape, strict=False)]
         if len(wanted) != array.ndim or shared != [*array.shape] or array.dtype != np.float64:
             raise ValueError(
                 f"{prefix}{name} of type {array.dtype} and shape {array.shape}, expected ({annotated.dim_str})"
@@ -180,10 +175,6 @@ def sample_friction(
 
     A model that depends on the velocity alone has no spread. Dry friction of MuJoCo has its sliding value.
 
-    Args:
-        model: The model with its identified values.
-        samples: Recorded states, of shape (samples, nv).
-
     Returns:
         Velocities in both directions up to the highest recorded speed, dense around 0, and the three curves.
     """
@@ -191,7 +182,7 @@ def sample_friction(
     fastest = float(np.abs(thinned.qvel).max()) or 1.0
     share = np.linspace(-1, 1, POINTS)
     velocity = fastest * np.sign(share) * share**2  # dense around standstill, where models differ most
-    curves = np.stack([_torque_near(model, thinned, at) for at in velocity])
+    curves = np.stack([_torque_near(model, thinned, point) for point in velocity])
     return velocity, curves[:, 0], curves[:, 1], curves[:, 2]
 
 

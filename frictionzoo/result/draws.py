@@ -23,9 +23,9 @@ class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
     """Draws of each parameter by full name, in its unit, with convergence diagnostics of the chains.
 
     Attributes:
-        rhat: Rank-normalised split R-hat of each sampled value, by its label, `bench.armature`, or
-            `bench.armature/knee` with several joints; 1: the chains agree.
-        effective: Effective sample size of all samples, by the same labels.
+        rhat: Rank-normalised split R-hat of each sampled value, by label (`bench.armature`, or `bench.armature/knee`
+            with several joints); 1: the chains agree.
+        effective: Effective sample size of all samples, by label.
         divergences: Number of samples whose sampler step diverged.
     """
 
@@ -41,24 +41,18 @@ def draw_parameters(
 ) -> dict[str, Float[np.ndarray, "count nv"]]:
     """Draw joint values, within the bounds, of the parameters that the data determine, by full name.
 
-    Args:
-        place: Name of the drive for messages.
-        result: Result of the run.
-        bench: Its test stand.
-        model: Its friction model.
-        count: Number of drives.
-        seed: Random seed.
+    `place` names the drive in messages.
 
     Raises:
         ConfigError: `count` is below 1.
         RunError: No parameter has an interval.
     """
-    drawn, found = _draw(_read_covariance(place, result, count), bench, model, count, seed), {}
+    drawn, draws = _draw(_read_covariance(place, result, count), bench, model, count, seed), {}
     for name, parameter in read_parameters(result, bench.nv).items():
-        moved = _determined(parameter, bench)
-        if moved.any():
-            found[name] = np.where(moved, drawn[name], parameter.value)
-    return found
+        determined = _determined(parameter, bench)
+        if determined.any():
+            draws[name] = np.where(determined, drawn[name], parameter.value)
+    return draws
 
 
 def draw_with_chains(
@@ -66,13 +60,7 @@ def draw_with_chains(
 ) -> Posterior:
     """Draw values of all parameters with an interval from the posterior.
 
-    Args:
-        place: Name of the drive for messages.
-        result: Result of the run.
-        bench: Its test stand.
-        fitted: Minimised loss with the training data; None: not available.
-        count: Number of drives.
-        seed: Random seed.
+    `place` names the drive in messages; `fitted` is the minimised loss with the training data, if available.
 
     Raises:
         ConfigError: `count` is below 1, or `draw_posterior` raises it.
@@ -87,12 +75,12 @@ def draw_with_chains(
     settings = result["settings"]
     with computing(*(settings[name] for name in ("dtype", "device", "compilation_cache"))):
         chains = draw_posterior(fitted, covariance, count, seed)
-    drawn, found = fitted.objective.space.physical(chains.vectors.T), {}
+    drawn, draws = fitted.objective.space.physical(chains.vectors.T), {}
     sampled = {label.partition("/")[0] for label in chains.rhat}
     for name, parameter in read_parameters(result, bench.nv).items():
         if name in sampled:
-            found[name] = np.where(np.isnan(drawn[name].T), parameter.value, drawn[name].T)
-    return Posterior(found, chains)
+            draws[name] = np.where(np.isnan(drawn[name].T), parameter.value, drawn[name].T)
+    return Posterior(draws, chains)
 
 
 def _read_covariance(place: str, result: Result, count: int) -> Covariance:
@@ -112,16 +100,15 @@ def _draw(
     with jax.enable_x64(True):
         space = Space(bench, model, "float64")
     vectors = np.repeat(np.asarray(space.start, np.float64)[:, None], count, axis=1)
-    own = [space.labels.index(label) for label in covariance.labels]
-    vectors[own] = covariance.draw(count, np.random.default_rng(seed)).T
+    indices = [space.labels.index(label) for label in covariance.labels]
+    vectors[indices] = covariance.draw(count, np.random.default_rng(seed)).T
     with np.errstate(over="ignore"):  # after a diverged fit; the values are clipped to the bounds
         return {name: values.T for name, values in space.physical(vectors).items()}
 
 
 def _determined(parameter: Parameter, bench: Bench) -> Bool[np.ndarray, "nv"]:
-    """Return the joints in which the data determine a parameter."""
-    found = [joint for row in parameter.by_joint if row["identifiable"] for joint in row["joints"]]
-    return np.isin(bench.joints, found)
+    joints = [joint for row in parameter.by_joint if row["identifiable"] for joint in row["joints"]]
+    return np.isin(bench.joints, joints)
 
 
 def put_values(
@@ -130,26 +117,20 @@ def put_values(
     params: Mapping[str, Mapping[str, Param]],
     nv: int,
 ) -> dict[str, dict[str, Any]]:
-    """Replace some of a drive's values, by full name.
-
-    Args:
-        values: Values of the drive, by owner and name.
-        drawn: New values, one per joint or one for all; ignored for joints that lack the parameter.
-        params: Physical parameters, by owner and name.
-        nv: Number of joints.
+    """Replace some of a drive's values by `drawn` ones, by full name; joints without the parameter are skipped.
 
     Raises:
         ConfigError: A parameter is unknown; or a value has the wrong shape, is not finite, or is negative where the
             lower bound is not.
     """
-    known = {f"{owner}.{name}": param for owner, named in params.items() for name, param in named.items()}
-    found = {owner: dict(named) for owner, named in values.items()}
-    for full, own in drawn.items():
-        if full not in known:
-            raise ConfigError(f"{full}: no such parameter of the drive; {closest(str(full), known)}")
+    parameters = {f"{owner}.{name}": param for owner, named in params.items() for name, param in named.items()}
+    replaced = {owner: dict(named) for owner, named in values.items()}
+    for full, value in drawn.items():
+        if full not in parameters:
+            raise ConfigError(f"{full}: no such parameter of the drive; {closest(str(full), parameters)}")
         owner, _, name = full.partition(".")
-        found[owner][name] = _of_joints(full, own, known[full], nv)
-    return found
+        replaced[owner][name] = _of_joints(full, value, parameters[full], nv)
+    return replaced
 
 
 def _of_joints(full: str, own: Any, param: Param, nv: int) -> Float[np.ndarray, "members"]:
@@ -160,11 +141,11 @@ def _of_joints(full: str, own: Any, param: Param, nv: int) -> Float[np.ndarray, 
             f"{full}: {array.dtype} of shape {array.shape}, expected numbers of shape ({nv},), one a joint"
         )
     members = param.members(nv)
-    taken = np.broadcast_to(array.astype(np.float64), nv)[members]
-    least = np.where(param.each("low", nv)[members] >= 0, 0.0, -np.inf)
-    wrong = ~(np.isfinite(taken) & (taken >= least))
+    selected = np.broadcast_to(array.astype(np.float64), nv)[members]
+    lowest = np.where(param.each("low", nv)[members] >= 0, 0.0, -np.inf)
+    wrong = ~(np.isfinite(selected) & (selected >= lowest))
     if wrong.any():
-        at = int(np.argmax(wrong))
-        number = "a number from 0 on" if np.isfinite(least[at]) else "a finite number"
-        raise ConfigError(f"{full}: {taken[at]:g} of joint {members[at] + 1}, expected {number}")
-    return taken
+        index = int(np.argmax(wrong))
+        number = "a number from 0 on" if np.isfinite(lowest[index]) else "a finite number"
+        raise ConfigError(f"{full}: {selected[index]:g} of joint {members[index] + 1}, expected {number}")
+    return selected

@@ -30,8 +30,7 @@ class Metrics:
 
     Attributes:
         position_mae: Mean over the rollouts of their position MAE, averaged over time and joints [unit].
-        position_mae_std: Population standard deviation of the rollouts' position MAE, the paper's sigma_MAE [unit]; 0
-            for a single rollout.
+        position_mae_std: Population standard deviation over the rollouts, the paper's sigma_MAE [unit]; 0 for one.
         position_rmse: Root mean square position error over all samples [unit].
         velocity_rmse: Root mean square velocity error over all samples [velocity_unit].
         unit: `rad` or `m`.
@@ -54,13 +53,7 @@ class Metrics:
 
 @dataclass(frozen=True)
 class JointErrors:
-    """Errors of one joint in open-loop rollouts without the diverged ones; NaN if all diverged.
-
-    Attributes:
-        position_mae: Mean absolute position error [rad or m]; `Metrics` has its mean over the joints.
-        position_rmse: Root mean square position error [rad or m].
-        velocity_rmse: Root mean square velocity error [rad/s or m/s].
-    """
+    """Errors of one joint [rad or m, rad/s or m/s] in the rollouts that did not diverge; NaN if all diverged."""
 
     position_mae: float
     position_rmse: float
@@ -69,12 +62,7 @@ class JointErrors:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Simulated states of segments, after each step.
-
-    Attributes:
-        qpos: Position [rad or m].
-        qvel: Velocity [rad/s or m/s].
-    """
+    """Simulated states of segments after each step: qpos [rad or m] and qvel [rad/s or m/s]."""
 
     qpos: Float[np.ndarray, "batch time nv"]
     qvel: Float[np.ndarray, "batch time nv"]
@@ -102,7 +90,7 @@ def predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> li
     small = [each for each in cut if each.count <= _SMALL]
     if not small:
         return [predict(rollout, values, each) for each in cut]
-    longest, at, found = max(each.length for each in small), 0, list[Prediction]()
+    longest, begin, predictions = max(each.length for each in small), 0, list[Prediction]()
 
     def start(each: Segments) -> tuple[Any, ...]:
         beyond = (0, 0), (0, longest - each.length), (0, 0)
@@ -112,11 +100,11 @@ def predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> li
     qpos, qvel = rollout(values, *starts, np.concatenate([each.loads for each in small]))
     for each in cut:
         if each.count > _SMALL:
-            found.append(predict(rollout, values, each))
+            predictions.append(predict(rollout, values, each))
             continue
-        own, at = slice(at, at + each.count), at + each.count
-        found.append(Prediction(*(np.asarray(part[own, : each.length], np.float64) for part in (qpos, qvel))))
-    return found
+        rows, begin = slice(begin, begin + each.count), begin + each.count
+        predictions.append(Prediction(*(np.asarray(part[rows, : each.length], np.float64) for part in (qpos, qvel))))
+    return predictions
 
 
 def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metrics:
@@ -168,14 +156,14 @@ class Judgement:
 
     Attributes:
         by_horizon: Metrics of each horizon, main horizon first, for the parts `train` and `test`.
-        by_joint: Errors of each joint at the main horizon, for the parts `train` and `test`.
-        rollout_mae: Position MAE of each rollout of the main horizon, for the parts `train` and `test` [rad or m].
+        by_joint: Errors of each joint at the main horizon, by part.
+        rollout_mae: Position MAE of each rollout of the main horizon, by part [rad or m].
         trajectory: Metrics of the paper's evaluation (a): one long test rollout.
         places: Metrics of the paper's evaluation (b): test rollouts from random starts.
         prediction: Simulated states of the long test rollouts, evaluation (a) first.
         local_mae: Position MAE of each short rollout over the whole test part [rad or m].
-        train_errors: Simulated minus measured position in training rollouts of the main horizon that did not diverge,
-            at most `KEPT` rollouts [rad or m].
+        train_errors: Simulated minus measured position in at most `KEPT` finite training rollouts, main horizon [rad or
+            m].
     """
 
     by_horizon: tuple[Mapping[str, Metrics], ...]
@@ -189,12 +177,12 @@ class Judgement:
 
     @property
     def train(self) -> Metrics:
-        """Metrics of the training part at the main horizon."""
+        """Training metrics at the main horizon."""
         return self.by_horizon[0]["train"]
 
     @property
     def test(self) -> Metrics:
-        """Metrics of the test part at the main horizon."""
+        """Test metrics at the main horizon."""
         return self.by_horizon[0]["test"]
 
 
@@ -204,11 +192,8 @@ class Evaluation:
     The windows are cut at construction, which refuses too short logs before a fit.
 
     Attributes:
-        joint_type: `hinge` or `slide`.
         trajectories: Long windows of the test part; the first is the paper's evaluation (a).
         local: Consecutive short windows over the whole test part.
-        window: Length of the moving mean over the error of (a) [s].
-        torque: Comparison of recorded torque, as the argument.
 
     Args:
         dataset: Recordings, train and test.
@@ -221,8 +206,7 @@ class Evaluation:
         places: Number of long rollouts, and of rollouts of the main horizon from random starts (b).
         local: Length of the short rollouts [s].
         seed: Seed of the random starts.
-        torque: Comparison of recorded torque, `bandwidth` [Hz] and `held`, as in `frictionzoo.result.torque`; None
-            for either: as in the fit.
+        torque: Comparison of recorded torque, `bandwidth` [Hz] and `held`; None for either: as in the fit.
         history: Samples of the command before each rollout that may still act in it.
 
     Raises:
@@ -272,7 +256,7 @@ class Evaluation:
         digest = hashlib.sha256()
         for segments in (*cut, self.trajectories, self._places, self.local):
             loads = (segments.loads,) if segments.loads.size else ()
-            acting = segments.acting  # signals that only friction models read are excluded: they differ between models
+            acting = segments.acting  # without signals that only friction models read: they differ between models
             driven = np.concatenate([acting.ctrl, *acting.inputs.values()], axis=2)
             for signal in (segments.qpos, segments.qvel, driven, *loads):
                 digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())

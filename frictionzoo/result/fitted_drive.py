@@ -43,7 +43,6 @@ class FittedDrive:
     Attributes:
         folder: Folder of the run; None: in memory only.
         result: Content of `result.json`.
-        bench: Test stand.
         model: Friction model with its identified values, in float64.
         state: These values as saved, in the model's dtypes.
         values: Values of all parameters and network weights, by owner (`bench`, `friction`) and name, as numpy arrays
@@ -53,7 +52,7 @@ class FittedDrive:
         curves: Data of the figures; empty for a drive from a card.
         complaint: One line if the fit diverged; None otherwise.
         fitted: Minimised loss with the training data; None for a drive read from a folder.
-        origin: Drive that this one represents in a simulator (see `at`); None: the drive itself.
+        origin: Drive that this one represents in a simulator (see `at`); None: this drive is the original.
     """
 
     folder: Path | None
@@ -107,14 +106,10 @@ class FittedDrive:
 
         The draws come from a multivariate Student's t distribution of the optimiser's coordinates (`covariance` in
         `result.json`) and are clipped to the bounds. Of many draws, 95 % of a parameter's values lie in its interval.
-        Parameters that the data do not determine keep their values.
-
-        Args:
-            count: Number of drives.
-            seed: Random seed.
 
         Returns:
-            Values of each parameter that the data determine in any joint, by full name, in its unit.
+            Values of each parameter that the data determine in any joint, by full name, in its unit; other joints keep
+            their values.
 
         Raises:
             ConfigError: `count` is below 1.
@@ -123,18 +118,13 @@ class FittedDrive:
         return draw_parameters(self.place, self.result, self.bench, self.model, count, seed)
 
     def posterior(self, count: int = 1000, seed: int = 0) -> Posterior:
-        """Draw drives consistent with the training data from the posterior distribution.
+        """Draw drives from the posterior distribution.
 
-        `sample` is faster and has the same distribution where the loss is quadratic over the intervals. Elsewhere these
-        draws follow the shape of the loss within the bounds. They come from four NUTS chains on the loss, adjusted to
-        the covariance of the intervals; see `frictionzoo.fit.posterior`. All parameters with an interval are drawn,
-        including those that are not identifiable.
+        The draws follow the shape of the loss within the bounds; `sample` is faster and has the same distribution where
+        the loss is quadratic over the intervals. Four NUTS chains run on the loss, adjusted to the covariance of the
+        intervals; see `frictionzoo.fit.posterior`. All parameters with an interval are drawn, identifiable or not.
 
-        The method needs the training data, hence a drive returned by `identify`, and blackjax (extra `posterior`).
-
-        Args:
-            count: Number of drives.
-            seed: Random seed.
+        Needs a drive returned by `identify`, for its training data, and blackjax (extra `posterior`).
 
         Returns:
             Values by full name, in their unit, with convergence diagnostics of the chains.
@@ -147,18 +137,10 @@ class FittedDrive:
         return draw_with_chains(self.place, self.result, self.bench, self.fitted, count, seed)
 
     def band(self, segments: Segments | None = None, count: int = 100, seed: int = 0) -> Band:
-        """Predict the 95 % interval of the measured position in rollouts, at each instant.
+        """Predict the 95 % interval of the measured position in rollouts at each instant; see `predict_band`.
 
-        It combines the spread of drives from `sample` with the fitted drive's errors in training rollouts at the same
-        time after the start; see `frictionzoo.result.band`.
-
-        Args:
-            segments: Initial states and commands; None: the run's long test rollouts.
-            count: Number of drives to draw.
-            seed: Random seed.
-
-        Returns:
-            Prediction interval, at most as long as the evaluation's main horizon.
+        Combines `count` drives from `sample` with the fitted drive's errors at the same time in training rollouts.
+        Default `segments`: the run's long test rollouts. The interval ends at the evaluation's main horizon.
 
         Raises:
             RunError: Fewer than two training rollouts of the evaluation stayed finite.
@@ -191,11 +173,11 @@ class FittedDrive:
     @property
     def by_joint(self) -> dict[str, dict[str, JointErrors]]:
         """Errors of each joint by name, on the parts of `metrics`."""
-        nan, found = cast(Any, np.nan), {}
+        nan, joints = cast(Any, np.nan), {}
         for row in cast(list[dict[str, Any]], self.result["by_joint"]):
             parts = {part: {k: nan if v is None else v for k, v in row[part].items()} for part in self.metrics}
-            found[row["joint"]] = {part: JointErrors(**errors) for part, errors in parts.items()}
-        return found
+            joints[row["joint"]] = {part: JointErrors(**errors) for part, errors in parts.items()}
+        return joints
 
     @property
     def timestep(self) -> float:
@@ -229,8 +211,8 @@ class FittedDrive:
         is not a whole number of steps, only every n-th sample is kept.
 
         Args:
-            timestep: Simulation step [s]. None: the step of this drive; for a drive in continuous time the step of the
-                model file, if a few samples of the recordings last a whole number of such steps.
+            timestep: Simulation step [s]. None: the step of this drive; in continuous time, the model file's step if a
+                few samples of the recordings last a whole number of such steps.
             integrator: `Euler`, `implicitfast`, or `RK4` for a drive in continuous time; None: integrator of the bench.
 
         Raises:
@@ -239,8 +221,8 @@ class FittedDrive:
         """
         drive = self.origin if self.origin is not None and self.is_simulated else self
         parts = drive.bench, drive.model, drive.values, drive.segments
-        moved = put_into_simulator(*parts, drive.result["settings"]["bench"], timestep, integrator)
-        return cast(Any, replace(drive, **moved._asdict(), origin=drive))
+        simulated = put_into_simulator(*parts, drive.result["settings"]["bench"], timestep, integrator)
+        return cast(Any, replace(drive, **simulated._asdict(), origin=drive))
 
     @property
     def is_simulated(self) -> bool:
@@ -253,10 +235,7 @@ class FittedDrive:
         return RK4 if self.is_simulated and self.bench.second_order else self.bench.integrator
 
     def predict_origin(self) -> Prediction:
-        """Predict the long test rollouts of the drive that this one represents in a simulator.
-
-        The rollouts have this drive's samples and hold each command until the next sample.
-        """
+        """Predict the original drive's long test rollouts at this drive's samples, each command held until the next."""
         if self.origin is None:
             return Prediction(*self.rollout())
         return Prediction(*map(self._pick, self.origin.rollout(hold(self.origin.recorded, self._every))))
@@ -269,70 +248,61 @@ class FittedDrive:
     def find_errors(self, qpos: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch time nv"]:
         """Return measured minus simulated positions of the long test rollouts in a simulator [rad or m].
 
-        A simulator that keeps only every n-th sample holds commands longer than the recording did. The measured
-        position then includes the resulting change of the drive's motion.
+        A simulator that keeps only every n-th sample holds commands longer than the recording did; the resulting change
+        of the drive's motion is added to the measured position.
         """
         return self.find_residual() + self.predict_origin().qpos - qpos
 
     @property
     def _every(self) -> int:
-        """Number of recorded samples in one sample of the drive."""
+        """Number of recorded samples per sample of the drive."""
         return max(1, round(self.segments.timestep / (self.origin or self).segments.timestep))
 
     def _pick(self, rows: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch samples nv"]:
-        """Pick the rows at the drive's samples from rows at the recorded samples."""
+        """Pick the rows at the drive's samples."""
         return rows[:, self._every - 1 :: self._every][:, : self.segments.length]
 
     def rollout(
         self, segments: Segments | None = None, timestep: float | None = None, values: Values | None = None
     ) -> tuple[Float[np.ndarray, "batch time nv"], Float[np.ndarray, "batch time nv"]]:
-        """Simulate the drive in float64.
+        """Simulate the drive in float64; return qpos and qvel after each sample interval.
 
         Args:
             segments: Initial states and commands; None: the run's long test rollouts.
             timestep: Simulation step [s]; None: the step of this drive.
             values: Values of another drive with this bench and friction model; None: values of this drive.
-
-        Returns:
-            qpos and qvel after each sample interval.
         """
         drive = self if timestep is None else self.at(timestep)
         segments = drive.recorded if segments is None else segments
         with jax.enable_x64(True):
             start = segments.qpos[:, 0], segments.qvel[:, 0]
-            own = drive.jax_values if values is None else values
-            found = drive._drive.rollout.compiled(own, *start, segments.signals, segments.load)
-            qpos, qvel = (np.array(part, np.float64) for part in found)
+            parameters = drive.jax_values if values is None else values
+            states = drive._drive.rollout.compiled(parameters, *start, segments.signals, segments.load)
+            qpos, qvel = (np.array(part, np.float64) for part in states)
         return qpos, qvel
 
     def follow(self, segments: Segments, values: Values | None = None) -> Segments:
         """Return the segments with simulated states in place of measured ones after the first state.
 
-        Args:
-            segments: Initial states and commands.
-            values: Values of another drive with this bench and friction model; None: values of this drive.
+        `values` may come from another drive with this bench and friction model.
 
         Raises:
             RunError: The drive diverges in a segment.
         """
-        itself = self.is_simulated and values is None and segments is self.segments
-        moved = self.predict_origin() if itself else Prediction(*self.rollout(segments, values=values))
-        pairs = zip((segments.qpos, segments.qvel), (moved.qpos, moved.qvel), strict=True)
-        qpos, qvel = (np.concatenate([states[:, :1], own], axis=1) for states, own in pairs)
-        lost = Prediction(qpos, qvel).diverged
-        if lost.any():
+        is_origin = self.is_simulated and values is None and segments is self.segments
+        prediction = self.predict_origin() if is_origin else Prediction(*self.rollout(segments, values=values))
+        pairs = zip((segments.qpos, segments.qvel), (prediction.qpos, prediction.qvel), strict=True)
+        qpos, qvel = (np.concatenate([states[:, :1], simulated], axis=1) for states, simulated in pairs)
+        diverged = Prediction(qpos, qvel).diverged
+        if diverged.any():
             raise RunError(
-                f"{self.place}: the fitted drive diverges in {lost.sum()} of {segments.count} rollouts of "
+                f"{self.place}: the fitted drive diverges in {diverged.sum()} of {segments.count} rollouts of "
                 f"{segments.length * segments.timestep:g} s, expected none; fit it again"
             )
         return replace(segments, qpos=qpos, qvel=qvel)
 
     def acting(self, late: bool = True) -> Signals:
-        """Return the signals at each step of the long test rollouts, of shape (batch, time, substeps, nv).
-
-        Args:
-            late: Whether to apply the bench's delay to the commands.
-        """
+        """Return the signals at each step of the long test rollouts, (batch, time, substeps, nv); `late`: delayed."""
         with jax.enable_x64(True):
             bench = self.jax_values["bench"] if late else {}
             signals = self.recorded.signals.map(jnp.asarray)
@@ -344,9 +314,9 @@ class FittedDrive:
         segments = self.recorded
         qpos, qvel = segments.qpos[:, :-1], segments.qvel[:, :-1]
         with jax.enable_x64(True):
-            states = jax.jit(make_observer(self.engine, self.sampling))
-            seen = states(self.jax_values, qpos, qvel, segments.signals, segments.loads)
-            return seen.map(lambda signal: np.array(signal, np.float64).reshape(-1, self.bench.nv))
+            observer = jax.jit(make_observer(self.engine, self.sampling))
+            inputs = observer(self.jax_values, qpos, qvel, segments.signals, segments.loads)
+            return inputs.map(lambda signal: np.array(signal, np.float64).reshape(-1, self.bench.nv))
 
     @cached_property
     def proof(self) -> Proof:

@@ -27,13 +27,8 @@ def imitate(
     """Simulate an identified drive under recorded commands, and measure it like the recordings.
 
     The positions get the encoders' noise and quantisation, estimated from the recordings. All logs are cut to the
-    length of the shortest one, and `MOST_STEPS` limits their number.
-
-    Args:
-        recordings: Bench, friction model and logs.
-        space: Coordinates of the values.
-        vector: Values in these coordinates.
-        stiff: Whether dry friction is as stiff as the simulation step allows, instead of as in the bench.
+    length of the shortest one, and `MOST_STEPS` limits their number. With `stiff`, dry friction is as stiff as the
+    simulation step allows, instead of as in the bench.
 
     Returns:
         Imitated logs. None: the simulation fails or takes too long, or the motion differs too much from the recording,
@@ -57,8 +52,8 @@ def imitate(
     except FrictionzooError:
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # diverged rollouts
-        apart = np.sqrt(np.mean(np.square(qpos - windows.qpos[:, 1:]), axis=(0, 1)))
-    if not (apart < ASTRAY * windows.qpos.std(axis=(0, 1))).all():  # False with NaN
+        difference = np.sqrt(np.mean(np.square(qpos - windows.qpos[:, 1:]), axis=(0, 1)))
+    if not (difference < ASTRAY * windows.qpos.std(axis=(0, 1))).all():  # False with NaN
         return None
     random = np.random.default_rng(0)
     cut = [log.between(1, length + 1, log.name) for log in chosen]

@@ -10,7 +10,7 @@ from frictionzoo.result import torque_types as types
 
 
 def describe_links(found: LinkInertia) -> types.LinksRow:
-    """Return the section `links`: estimated and model file inertias, and what the data determine."""
+    """Return the section `links`: estimated and model file inertias, and the combinations that the data determine."""
     rows = zip(found.base.describe(), found.values, found.errors, found.determined, strict=True)
     return {
         "links": [
@@ -25,15 +25,15 @@ def describe_links(found: LinkInertia) -> types.LinksRow:
         "gravity": None if found.tilt is None else _describe_gravity(found.tilt),
         "determined": int(found.determined.sum()),
         "base": [
-            {"combination": text, "value": float(value), "error": float(error), "determined": bool(told)}
-            for text, value, error, told in rows
+            {"combination": text, "value": float(value), "error": float(error), "determined": bool(determined)}
+            for text, value, error, determined in rows
         ],
     }
 
 
 def _describe_gravity(tilt: Tilt) -> types.GravityRow:
-    found, maker = tilt.gravity.tolist(), tilt.maker.tolist()
-    return {"found": found, "maker": maker, "angle": tilt.angle, "error": float(tilt.errors.max())}
+    gravity, maker = tilt.gravity.tolist(), tilt.maker.tolist()
+    return {"found": gravity, "maker": maker, "angle": tilt.angle, "error": float(tilt.errors.max())}
 
 
 def _describe_inertia(parameters: Float[np.ndarray, "10"]) -> types.InertiaRow:

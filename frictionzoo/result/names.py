@@ -18,7 +18,7 @@ def label_values(parameter: ParameterRow | ReferenceRow) -> dict[str, ValueRow]:
 
 
 def name_where(parameter: ParameterRow | ReferenceRow, **what: Any) -> str:
-    """Return the full name of a parameter, with the joints whose entries have these values unless all or none have."""
+    """Return a parameter's full name, with the joints whose entries have these values unless all or none have."""
     full, rows = f"{parameter['owner']}.{parameter['name']}", parameter["by_joint"]
     names = [row["name"] for row in rows if all(row[key] == value for key, value in what.items())]
     return full if len(names) in (0, len(rows)) else f"{full} ({name_some(names)})"
@@ -41,7 +41,7 @@ def reached_bounds(parameter: ParameterRow | ReferenceRow) -> tuple[float, float
 
 
 def say_bounds(parameter: ParameterRow | ReferenceRow) -> str:
-    """Format these bounds."""
+    """Format the bounds from `reached_bounds`."""
     low, high = reached_bounds(parameter)
     return f"[{low:g}, {high:g}]"
 
@@ -53,11 +53,11 @@ def merge_known(rows: Sequence[ValueRow]) -> list[ValueRow]:
         merged.setdefault(row["name"] if row["identified"] else row["value"], []).append(row)
     return [
         {
-            **own[0],
-            "name": name_first([row["name"] for row in own]),
-            "joints": [j for row in own for j in row["joints"]],
+            **entries[0],
+            "name": name_first([row["name"] for row in entries]),
+            "joints": [j for row in entries for j in row["joints"]],
         }
-        for own in merged.values()
+        for entries in merged.values()
     ]
 
 

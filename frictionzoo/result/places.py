@@ -33,8 +33,8 @@ class Seen(NamedTuple):
     Attributes:
         qpos: Position [rad or m].
         qvel: Velocity [rad/s or m/s].
-        motor: Actuator torque that the model needs for the motion, without the residual torque [N m or N]. The applied
-            torque reacts to any error and so correlates with it.
+        motor: Actuator torque that the model needs for the motion [N m or N]: the applied torque correlates with any
+            error.
         external: Torque of everything but actuator and friction [N m or N].
         since: Time since the last reversal of the motion [s].
         asked: Torque commanded according to the actuator model [N m or N].
@@ -55,21 +55,15 @@ class Seen(NamedTuple):
 
 
 def time_since_reversal(signal: Signal, begins: Int[np.ndarray, "logs"], timestep: float) -> Signal:
-    """Return the time since a signal, such as a velocity, last changed its sign or its log began [s].
-
-    Args:
-        signal: Signal of all logs, one after the other.
-        begins: First sample of each log.
-        timestep: Sample interval [s].
-    """
-    turned = np.flatnonzero(np.diff(np.sign(signal), prepend=0.0))
+    """Return the time since a signal, such as a velocity, last changed its sign or its log began [s]."""
+    reversals = np.flatnonzero(np.diff(np.sign(signal), prepend=0.0))
     last = np.zeros(len(signal), int)
-    last[np.union1d(turned, begins)] = np.union1d(turned, begins)
+    last[np.union1d(reversals, begins)] = np.union1d(reversals, begins)
     return timestep * (np.arange(len(signal)) - np.maximum.accumulate(last))
 
 
 def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]:
-    """Yield the functions of each residual factor with its name, the simplest first."""
+    """Yield name and functions of each residual factor, the simplest first."""
     side, speed = np.sign(seen.qvel), np.abs(seen.qvel)
     share = speed / max(float(np.sqrt(np.mean(np.square(speed)))), 1e-300)
     plain = [side, side * share]
@@ -77,7 +71,7 @@ def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]
     yield "scale", _stack(seen.motor)
     yield "late", _stack(np.gradient(seen.motor, seen.timestep))
     yield "speed", _stack(*plain)
-    yield "slow", _stack(*plain, *(side * np.exp(-np.square(share / over)) for over in SLOW))
+    yield "slow", _stack(*plain, *(side * np.exp(-np.square(share / scale)) for scale in SLOW))
     yield "fast", _stack(*plain, side * share**2, side * share**3)
     yield "direction", _stack(np.ones_like(side), share)
     loads = seen.motor, seen.external, seen.motor - seen.external
@@ -88,16 +82,16 @@ def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]
     if seen.temperature is not None and np.ptp(seen.temperature) > 0:
         warmer = (seen.temperature - seen.temperature.mean()) / seen.temperature.std()
         yield "temperature", _stack(side * warmer, side * share * warmer)
-    yield "reversal", _stack(*(side * np.exp(-seen.since / over) for over in SINCE))
+    yield "reversal", _stack(*(side * np.exp(-seen.since / scale) for scale in SINCE))
 
 
 def near_crossings(seen: Seen, at: Int[np.ndarray, "rows"]) -> Bool[np.ndarray, "rows"]:
     """Return which samples are near a sign change of the motor torque, where a gap may be crossed."""
-    turned = np.flatnonzero(np.diff(np.sign(seen.motor)))
-    if not len(turned):
+    crossings = np.flatnonzero(np.diff(np.sign(seen.motor)))
+    if not len(crossings):
         return np.zeros(len(at), bool)
-    after = np.minimum(np.searchsorted(turned, at), len(turned) - 1)
-    nearest = np.minimum(np.abs(turned[after] - at), np.abs(turned[np.maximum(after - 1, 0)] - at))
+    after = np.minimum(np.searchsorted(crossings, at), len(crossings) - 1)
+    nearest = np.minimum(np.abs(crossings[after] - at), np.abs(crossings[np.maximum(after - 1, 0)] - at))
     return nearest * seen.timestep < CROSSING
 
 
@@ -107,27 +101,14 @@ def beyond_limit(seen: Seen, limit: float) -> Float[np.ndarray, "time 1"]:
 
 
 def is_limited(excess: Float[np.ndarray, "rows 1"], error: Rows) -> bool:
-    """Return whether a limit acts on the torque: where commands exceed it, the error is about the excess.
-
-    Args:
-        excess: `beyond_limit`, filtered like the error [N m or N].
-        error: Error in the same rows.
-    """
+    """Return whether a limit acts: where commands exceed it, the error is about the equally filtered excess."""
     beyond = np.abs(excess[:, 0]) > WELL_BEYOND * np.abs(excess).max()
-    rest = np.square(error - excess[:, 0])[beyond].sum()
-    return bool(rest < UNLIKE * np.square(error[beyond]).sum())
+    remainder = np.square(error - excess[:, 0])[beyond].sum()
+    return bool(remainder < UNLIKE * np.square(error[beyond]).sum())
 
 
 def find_limit(seen: Seen, decimate: Filter, rows: np.ndarray, error: Rows, known: np.ndarray) -> float:
-    """Return the torque limit that explains most of an error, from quantiles of commanded torque [N m or N].
-
-    Args:
-        seen: Motion and torques of the joint.
-        decimate: Filter of the error.
-        rows: Index of the rows.
-        error: Error in these rows.
-        known: Columns beyond which the limit explains the error.
-    """
+    """Return the torque limit [N m or N], a quantile of commands, that explains most of an error beyond `known`."""
     limits = np.quantile(np.abs(seen.asked), LIMITS)
     return float(limits[pick(error, known, [decimate(beyond_limit(seen, limit))[rows] for limit in limits])])
 
@@ -139,46 +120,28 @@ def ripple(seen: Seen, periods: float, alike: bool) -> Float[np.ndarray, "time 4
 
 
 def list_periods(seen: Seen, hinge: bool, bandwidth: float) -> Float[np.ndarray, "periods"]:
-    """Return the ripple periods that the motion covers within a bandwidth [Hz].
-
-    On a hinge, periods per turn, whole numbers; on a slide, 2 pi / period [1/m].
-    """
-    reach, usual = float(np.ptp(seen.qpos)), float(np.median(np.abs(seen.qvel)))
-    most = WITHIN * 2 * np.pi * bandwidth / max(usual, 1e-300)
+    """Return the ripple periods that the motion covers: whole ones per turn, or 2 pi / period [1/m] on a slide."""
+    reach, speed = float(np.ptp(seen.qpos)), float(np.median(np.abs(seen.qvel)))
+    highest = WITHIN * 2 * np.pi * bandwidth / max(speed, 1e-300)
     step = 1.0 if hinge else np.pi / max(reach, 1e-300)
-    found = step * np.arange(1, PERIODS + 1)
-    return found[(found * reach >= 2 * np.pi) & (found <= most)]
+    periods = step * np.arange(1, PERIODS + 1)
+    return periods[(periods * reach >= 2 * np.pi) & (periods <= highest)]
 
 
 def find_ripple(
     seen: Seen, periods: Float[np.ndarray, "periods"], alike: bool, error: Rows, known: np.ndarray, at: np.ndarray
 ) -> float:
-    """Return the periods of the ripple that explains most of an error.
-
-    Args:
-        seen: Motion of the joint.
-        periods: Values to choose from.
-        alike: As in `ripple`.
-        error: Error in some samples.
-        known: Columns beyond which the ripple explains the error.
-        at: Index of these samples.
-    """
+    """Return the periods of the ripple that explains most of an error in samples `at`, beyond `known`."""
     thin = slice(None, None, max(1, len(at) // THIN))
     few = seen._replace(qpos=seen.qpos[at[thin]], qvel=seen.qvel[at[thin]])
-    first = [ripple(few, each, alike)[:, :2] for each in periods]  # with both harmonics, half the periods fit as well
-    return float(periods[pick(error[thin], known[thin], first)])
+    harmonics = [ripple(few, count, alike)[:, :2] for count in periods]  # with both harmonics, half the periods fit too
+    return float(periods[pick(error[thin], known[thin], harmonics)])
 
 
 def as_candidates(seen: Seen, decimate: Filter, rows: np.ndarray) -> dict[str, Candidate]:
-    """Return the functions of `list_places` as candidates, filtered like the error.
-
-    Args:
-        seen: Motion and torques of the joint.
-        decimate: Filter of the error.
-        rows: Index of the rows that count.
-    """
-    found = {name: Candidate(decimate(columns)[rows]) for name, columns in list_places(seen)}
-    return {name: one for name, one in found.items() if np.any(one.columns)}
+    """Return the functions of `list_places` in these rows as candidates, filtered like the error."""
+    candidates = {name: Candidate(decimate(columns)[rows]) for name, columns in list_places(seen)}
+    return {name: candidate for name, candidate in candidates.items() if np.any(candidate.columns)}
 
 
 def _stack(*columns: Signal) -> Float[np.ndarray, "time _"]:

@@ -52,13 +52,7 @@ class Portrait(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Recorded states for friction curves.
-
-    Attributes:
-        state: Inputs of the model.
-        counts: Rows that count, for each joint.
-        implied: Friction implied by the recorded torque [N m or N]; None: unknown.
-    """
+    """Recorded inputs of a model for friction curves, rows that count, and the implied friction [N m or N] if known."""
 
     state: DriveState
     counts: Bool[np.ndarray, "rows nv"]
@@ -70,27 +64,25 @@ def portray(
 ) -> dict[str, Portrait]:
     """Compute friction curves over velocity, and over load, position and temperature if the model depends on them.
 
-    The 95 % interval contains parameter uncertainty only: the 2.5 and 97.5 % quantiles over drawn drives. A model with
-    memory has its steady torque at constant velocity.
-
-    The implied friction is the model torque plus the residual torque at the same instants. It lies on the curve where
-    the residual is noise, and off the curve where the model does not fit.
+    The 95 % interval contains parameter uncertainty only: the 2.5 and 97.5 % quantiles over `draws` by full name, if
+    any. A model with memory has its steady torque at constant velocity. The implied friction is the model torque plus
+    the residual torque at the same instants: it lies on the curve where the residual is noise, and off it where the
+    model does not fit.
 
     Source: W. A. Larsen, S. J. McCleary, "The use of partial residual plots in regression analysis", 1972.
-
-    Args:
-        model: Model with its identified values.
-        draws: Drawn parameters by full name; empty: none.
-        rows: Recorded states.
 
     Returns:
         Curves by the quantity on the axis.
     """
     law, rows = copy.deepcopy(model).double(), _thin(rows)
-    sees = {what for joint in range(model.nv) for what in law.of_joint(joint)[0].sees} or observe(law, rows.state)
-    own = {name.removeprefix("friction."): values for name, values in draws.items() if name.startswith("friction.")}
+    sees = {quantity for joint in range(model.nv) for quantity in law.of_joint(joint)[0].sees} or observe(
+        law, rows.state
+    )
+    parameters = {
+        name.removeprefix("friction."): values for name, values in draws.items() if name.startswith("friction.")
+    }
     return {
-        name: _portray(law, own, rows, name, signal)
+        name: _portray(law, parameters, rows, name, signal)
         for name, signal in _list_signals(rows.state)
         if name == "velocity" or _OVER[name] in sees
     }
@@ -114,31 +106,31 @@ def _portray(
     law: FrictionModel, draws: Mapping[str, np.ndarray], rows: Rows, name: str, signal: Float[np.ndarray, "rows nv"]
 ) -> Portrait:
     nv, along = signal.shape[1], name == "velocity"
-    at, nearest = np.full((POINTS, nv), np.nan), np.zeros((POINTS, NEIGHBOURS, nv), int)
+    points, nearest = np.full((POINTS, nv), np.nan), np.zeros((POINTS, NEIGHBOURS, nv), int)
     bins = np.full((4, BINS, nv), np.nan)
     for joint in range(nv):
         counted = np.flatnonzero(rows.counts[:, joint])
         if len(counted) < FEWEST:
             continue
-        own = signal[counted, joint]
-        at[:, joint] = _spread_out(own, POINTS, along)
-        nearest[:, :, joint] = counted[_find_nearest(own, at[:, joint])]
+        quantity = signal[counted, joint]
+        points[:, joint] = _spread_out(quantity, POINTS, along)
+        nearest[:, :, joint] = counted[_find_nearest(quantity, points[:, joint])]
         if rows.implied is not None:
             side = 1.0 if along else np.sign(rows.state.qvel[counted, joint])
-            bins[:, :, joint] = _sort_into_bins(own, side * rows.implied[counted, joint], along)
-    states = rows.state.map(lambda each: torch.from_numpy(np.take_along_axis(each[:, None], nearest, axis=0)))
+            bins[:, :, joint] = _sort_into_bins(quantity, side * rows.implied[counted, joint], along)
+    states = rows.state.map(lambda column: torch.from_numpy(np.take_along_axis(column[:, None], nearest, axis=0)))
     if name in _REPLACED:
         # The closest rows represent a point in everything but the quantity itself.
-        there = torch.from_numpy(np.broadcast_to(at[:, None], nearest.shape).copy())
-        states = states._replace(**{_REPLACED[name]: there})
+        grid = torch.from_numpy(np.broadcast_to(points[:, None], nearest.shape).copy())
+        states = states._replace(**{_REPLACED[name]: grid})
     sides = 1.0 if along else torch.sign(states.qvel)
-    curve, ends = _draw_law(law, {}, states, sides), np.full((2, *at.shape), np.nan)
+    curve, ends = _draw_law(law, {}, states, sides), np.full((2, *points.shape), np.nan)
     if draws:
         count = min(DRAWS, *map(len, draws.values()))
         drawn = [_draw_law(law, {n: v[i] for n, v in draws.items()}, states, sides) for i in range(count)]
         ends = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
-    curve, ends = np.where(np.isnan(at), np.nan, curve), np.where(np.isnan(at), np.nan, ends)
-    return Portrait(at, curve, *ends, *bins)
+    curve, ends = np.where(np.isnan(points), np.nan, curve), np.where(np.isnan(points), np.nan, ends)
+    return Portrait(points, curve, *ends, *bins)
 
 
 def _spread_out(signal: Float[np.ndarray, "counted"], count: int, along: bool) -> Float[np.ndarray, "count"]:
@@ -151,20 +143,20 @@ def _spread_out(signal: Float[np.ndarray, "counted"], count: int, along: bool) -
 
 def _find_nearest(signal: Float[np.ndarray, "counted"], at: Float[np.ndarray, "points"]) -> Int[np.ndarray, "points n"]:
     order = np.argsort(signal)
-    first = np.clip(np.searchsorted(signal[order], at) - NEIGHBOURS // 2, 0, max(0, len(signal) - NEIGHBOURS))
-    return order[np.minimum(first[:, None] + np.arange(NEIGHBOURS), len(signal) - 1)]
+    start = np.clip(np.searchsorted(signal[order], at) - NEIGHBOURS // 2, 0, max(0, len(signal) - NEIGHBOURS))
+    return order[np.minimum(start[:, None] + np.arange(NEIGHBOURS), len(signal) - 1)]
 
 
 def _sort_into_bins(
     signal: Float[np.ndarray, "counted"], torque: Float[np.ndarray, "counted"], along: bool
 ) -> Float[np.ndarray, "4 bins"]:
-    """Return, for each bin, the median of the signal and the median and both quantiles of the torque."""
+    """Return each bin's median of the signal, and median and both quantiles of the torque."""
     place = np.clip(np.searchsorted(_spread_out(signal, BINS + 1, along), signal, "right") - 1, 0, BINS - 1)
-    found = np.full((4, BINS), np.nan)
+    bins = np.full((4, BINS), np.nan)
     for number in np.flatnonzero(np.bincount(place, minlength=BINS) >= FEWEST):
         inside = place == number
-        found[:, number] = np.median(signal[inside]), *np.quantile(torque[inside], (0.5, *SPREAD))
-    return found
+        bins[:, number] = np.median(signal[inside]), *np.quantile(torque[inside], (0.5, *SPREAD))
+    return bins
 
 
 def _draw_law(

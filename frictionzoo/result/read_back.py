@@ -24,11 +24,7 @@ LAW = "friction.safetensors"
 
 
 def build_drive(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, FrictionModel]:
-    """Build bench and friction model from saved settings, which may come from someone else.
-
-    Args:
-        folder: Folder of the run or card, for messages.
-        settings: Its settings; with different models per joint, `model` contains them in full.
+    """Build bench and friction model from saved settings, which may come from someone else; `folder` is for messages.
 
     Raises:
         RunError: The settings do not describe a bench and a model.
@@ -55,11 +51,7 @@ def load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
 
 
 def read_tensors(path: Path, whose: str) -> dict[str, torch.Tensor]:
-    """Read a safetensors file, which holds numbers only and executes nothing.
-
-    Args:
-        path: Path of the file.
-        whose: Owner of the values, for messages.
+    """Read a safetensors file, which holds numbers only and executes nothing; `whose` names their owner in messages.
 
     Raises:
         RunError: The file cannot be read.
@@ -86,22 +78,16 @@ def put_law(model: FrictionModel, saved: dict[str, torch.Tensor], path: Path) ->
 
 def read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
     """Read the bench's parameter values by name; raise RunError if the names differ from its settings."""
-    found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
-    if set(found) != set(bench.params):
-        came, expected = (", ".join(sorted(names)) for names in (found, bench.params))
-        line = f"parameters {came} of the bench, expected {expected} as in its settings; run it again"
+    values = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
+    if set(values) != set(bench.params):
+        saved, expected = (", ".join(sorted(names)) for names in (values, bench.params))
+        line = f"parameters {saved} of the bench, expected {expected} as in its settings; run it again"
         raise RunError(f"{RESULT}: {line}")
-    return {name: np.broadcast_to(np.asarray(found[name], np.float64), bench.nv).copy() for name in bench.params}
+    return {name: np.broadcast_to(np.asarray(values[name], np.float64), bench.nv).copy() for name in bench.params}
 
 
 def read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> Segments:
-    """Rebuild the long test rollouts from the curves.
-
-    Args:
-        path: Path of the curves, for messages.
-        curves: Arrays of the run.
-        interval: Sample interval [s].
-        bench: Test stand.
+    """Rebuild the long test rollouts from the curves; `path` is for messages, `interval` the sample interval [s].
 
     Raises:
         RunError: The curves do not fit the bench.
@@ -141,5 +127,5 @@ def hold(segments: Segments, every: int) -> Segments:
     if every == 1:
         return segments
     sample = every * (np.arange(-segments.history, segments.length) // every)
-    held = np.maximum(segments.history + sample, 0)
-    return replace(segments, signals=segments.signals.map(lambda signal: signal[:, held]))
+    commands = np.maximum(segments.history + sample, 0)
+    return replace(segments, signals=segments.signals.map(lambda signal: signal[:, commands]))

@@ -51,11 +51,8 @@ class Findings:
 
     Attributes:
         name: Name of the friction model, as in conf/model.
-        bench: Bench.
-        model: Friction model.
         values: Identified and known values of bench and model.
         dataset: Training and test recordings.
-        evaluation: Rollouts of the evaluation.
         judgement: Errors of the identified drive.
         baseline: Errors of the same bench identified without friction, on the same rollouts.
         reference: Values of the bench identified without friction.
@@ -64,10 +61,8 @@ class Findings:
         fit: Method and course of the fit.
         timing: Duration of each stage [s].
         settings: All options of the run, including `seed` and `dtype`.
-        engine: Simulation engine.
         proof: Verification of the engine against MuJoCo C.
         warnings: Reasons to doubt the result, one sentence each.
-        device: Device of the run.
         uncertainty: Intervals and identifiability of the parameters.
         recipe: Automatic settings and their values.
         residual: Residual analysis; None: not done.
@@ -103,8 +98,8 @@ def build_result(found: Findings) -> types.Result:
     bench, uncertainty = found.bench, found.uncertainty
     weights = sum(tensor.numel() for name, tensor in found.model.named_parameters() if name not in found.model.params)
     by_horizon: list[types.HorizonRow] = [
-        {"horizon": fitted["test"].horizon, **_describe_parts(fitted["train"], fitted["test"], without["test"])}
-        for fitted, without in zip(found.judgement.by_horizon, found.baseline.by_horizon, strict=True)
+        {"horizon": fitted["test"].horizon, **_describe_parts(fitted["train"], fitted["test"], baseline["test"])}
+        for fitted, baseline in zip(found.judgement.by_horizon, found.baseline.by_horizon, strict=True)
     ]
     result: types.Result = {
         "schema_version": SCHEMA_VERSION,
@@ -157,9 +152,9 @@ def build_result(found: Findings) -> types.Result:
 
 
 def pick_metrics(result: types.Result) -> dict[str, float]:
-    """Return the numbers for the comparison of runs, without those that are missing due to diverged rollouts.
+    """Return the numbers for the comparison of runs, without those missing due to diverged rollouts.
 
-    Their names put errors first, because TensorBoard sorts alphabetically, capitals first, and shows only a few.
+    The names put errors first: TensorBoard shows only a few, sorted alphabetically with capitals first.
     """
     picked = {
         "MAE/test_position": result["metrics"]["test"]["position_mae"],
@@ -209,29 +204,24 @@ def _refuse_inconsistent(path: Path, result: types.Result, curves: Curves) -> No
 
 
 def read_valid(path: Path, version: int, schema: Mapping[str, Any]) -> dict[str, Any]:
-    """Read an object from a JSON file of this program and validate it.
-
-    Args:
-        path: Path of the file.
-        version: Expected `schema_version`.
-        schema: JSON schema.
+    """Read an object from a JSON file of this program and validate its `schema_version` and schema.
 
     Raises:
         RunError: The file cannot be read or is invalid.
     """
     content = read_json(path)
     if content.get("schema_version") != version:
-        came = content.get("schema_version")
-        raise RunError(f"{path}: schema_version {came}, expected {version}; run it again with this version")
+        saved = content.get("schema_version")
+        raise RunError(f"{path}: schema_version {saved}, expected {version}; run it again with this version")
     refuse_invalid(path, content, schema)
     return content
 
 
 def refuse_invalid(path: Path, content: Mapping[str, Any], schema: Mapping[str, Any]) -> None:
     """Raise RunError with the file's path if an object does not match a schema."""
-    error = jsonschema.Draft202012Validator(schema).iter_errors(content)
-    if first := next(iter(error), None):
-        raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
+    errors = jsonschema.Draft202012Validator(schema).iter_errors(content)
+    if error := next(iter(errors), None):
+        raise RunError(f"{path}: {error.json_path}: {error.message[:200]}; expected the file that this version writes")
 
 
 def describe_data(dataset: Dataset) -> types.DataRow:
@@ -249,8 +239,8 @@ def describe_data(dataset: Dataset) -> types.DataRow:
 
 
 def _describe_log(log: Log, part: Literal["train", "test"]) -> types.LogRow:
-    carried = log.payload and [log.payload.mass, *log.payload.position, *log.payload.inertia]
-    return {"name": log.name, "part": part, "samples": log.samples, "sha256": log.sha256, "payload": carried}
+    payload = log.payload and [log.payload.mass, *log.payload.position, *log.payload.inertia]
+    return {"name": log.name, "part": part, "samples": log.samples, "sha256": log.sha256, "payload": payload}
 
 
 def _list_parameters(
@@ -295,8 +285,8 @@ def _describe_value(
 def _list_joints(joints: Sequence[str], judged: Judgement, without: Judgement) -> list[types.JointRow]:
     parts = judged.by_joint["train"], judged.by_joint["test"], without.by_joint["test"]
     return [
-        cast(types.JointRow, {"joint": joint, "train": asdict(train), "test": asdict(test), "baseline": asdict(none)})
-        for joint, train, test, none in zip(joints, *parts, strict=True)
+        cast(types.JointRow, {"joint": joint, "train": asdict(train), "test": asdict(test), "baseline": asdict(base)})
+        for joint, train, test, base in zip(joints, *parts, strict=True)
     ]
 
 
@@ -306,7 +296,6 @@ def _as_given(param: Param, side: str, nv: int) -> Any:
 
 
 def _one_or_all(by_joint: list[Any]) -> Any:
-    """Return the only entry, or the list if there are several joints."""
     return by_joint if len(by_joint) > 1 else by_joint[0]
 
 

@@ -60,7 +60,7 @@ SHORTEST = 1.0  # s; shorter logs consist mostly of filter transients
 FEWEST = 100  # fewest rows in total, and of a joint
 BANDWIDTHS = 10.0, 5.0  # Hz, tried if noise dominates at a higher bandwidth
 DROWNED = 0.5  # largest share of noise in the residual variance
-SOFTER = 1.1  # ratio to the residual torque above which the imitation leaves too much
+SOFTER = 1.1  # largest ratio of the imitation's residual torque to the recording's
 STEP = 1e-2  # of a coordinate, for finite differences
 LITTLE = 0.01  # share of the friction; smaller factors are not reported
 WRONG = 0.05  # relative error of the actuator torque above which a scale factor is always reported
@@ -82,17 +82,15 @@ class Left(NamedTuple):
     """Residual torque of the training recordings.
 
     Attributes:
-        equation: Torque equation.
         torque: Residual torque [N m or N].
-        friction: Friction torque of the model, filtered and decimated [N m or N].
-        unfiltered: Friction torque at the rows' instants, not filtered [N m or N].
-        counts: Rows that count, for each joint: those in motion.
+        friction: Model friction, filtered and decimated [N m or N].
+        unfiltered: Model friction at the rows' instants, not filtered [N m or N].
+        counts: Rows of each joint that count: those in motion.
         recordings: Bench, friction model and analysed logs.
-        state: Inputs of the model in all samples of the logs.
+        state: Inputs of the model in all samples.
         bandwidth: Bandwidth of the comparison [Hz].
-        nothing: Residual torque of a reference without model error: the identified drive, simulated under the same
-            commands and measured by the same encoders. If its motion differs too much from the recording, the effect
-            of encoder noise on the recording.
+        nothing: Reference without model error: the identified drive, simulated under the same commands and measured by
+            the same encoders. If its motion differs too much from the recording: the effect of encoder noise.
     """
 
     equation: TorqueEquation
@@ -110,7 +108,7 @@ class Left(NamedTuple):
         return self.torque[self.counts[:, joint], joint]
 
     def noise(self, joint: int) -> Float[np.ndarray, "counted"]:
-        """Return the residual torque of a joint in the reference without model error."""
+        """Return the reference's residual torque of a joint."""
         return np.zeros(1) if self.nothing is None else self.nothing.of(joint)
 
     def law(self, joint: int) -> tuple[FrictionModel, set[str]]:
@@ -126,10 +124,7 @@ class Left(NamedTuple):
 
     @property
     def rows(self) -> Rows:
-        """Rows for friction curves.
-
-        Their actuator torque is the one that the model needs, because the applied torque correlates with the error.
-        """
+        """Rows for friction curves, with the needed actuator torque, because the applied one correlates with errors."""
         state = self.state.map(lambda signal: signal[self._places])
         motor = state.motor_torque - self.torque
         return Rows(state._replace(motor_torque=motor), self.counts, self.unfiltered + self.torque)
@@ -142,97 +137,88 @@ class Left(NamedTuple):
 def find_left(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left | None:
-    """Compute the residual torque, up to the highest bandwidth in which noise does not dominate.
+    """Compute the residual torque up to the highest bandwidth in which noise does not dominate.
 
-    Args:
-        recordings: Bench, model with its fitted values, and the training logs.
-        space: Coordinates of the values.
-        vector: Values in these coordinates.
-        filtering: Filters for accelerations, and the bandwidth of the comparison.
+    `recordings` holds the training logs and the fitted model, `vector` its values in the coordinates of `space`.
 
     Returns:
-        Residual torque. None: the logs have fewer than `FEWEST` rows; or the torque cannot be computed, and a log line
-        gives the reason.
+        Residual torque. None: fewer than `FEWEST` rows, or it cannot be computed and a log line gives the reason.
     """
     bench, model, logs = recordings
     logs = _shorten(logs)
     try:
         if sum(filtering.decimation(logs).rows) < FEWEST:
             return None
-        left = _narrow(Recordings(bench, model, logs), space, vector, filtering)
+        residual = _narrow(Recordings(bench, model, logs), space, vector, filtering)
     except FrictionzooError as error:
         _log.info("no residual analysis: %s", error)
         return None
-    if not np.isfinite(left.torque).all():
+    if not np.isfinite(residual.torque).all():
         _log.info("no residual analysis: the residual torque is not finite with these values")
         return None
-    return left
+    return residual
 
 
 def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]) -> types.ResidualRow | None:
-    """Find the residual factors of the torque in motion, as defined in `ResidualRow`.
-
-    Args:
-        left: Residual torque.
-        space: Coordinates of the values.
-        vector: Values in these coordinates.
+    """Return the section `residual`: residual factors of the torque in motion, as defined in `ResidualRow`.
 
     Returns:
-        Section `residual`. None: the residual torque has no finite derivative by the values, and a log line says so.
+        Section. None: the residual torque has no finite derivative by the values, and a log line says so.
     """
     bench = left.recordings.bench
-    slopes = [_slopes(each, space, vector) for each in (left, left.nothing) if each is not None]
+    slopes = [_slopes(residual, space, vector) for residual in (left, left.nothing) if residual is not None]
     if not all(np.isfinite(part).all() for part in slopes):
         _log.info("no residual analysis: the residual torque has no derivative with these values")
         return None
     rows = [_describe(left, joint, slopes) for joint in range(bench.nv)]
-    found = {"unit": UNITS[bench.joint_type]["torque"], "bandwidth": left.bandwidth}
-    return cast(types.ResidualRow, {**found, "by_joint": [row for row in rows if row is not None]})
+    section = {"unit": UNITS[bench.joint_type]["torque"], "bandwidth": left.bandwidth}
+    return cast(types.ResidualRow, {**section, "by_joint": [row for row in rows if row is not None]})
 
 
 def _shorten(logs: Sequence[Log]) -> tuple[Log, ...]:
     """Reduce the logs to about `LONGEST` samples: drop short logs, thin out many logs, and cut long ones."""
-    kept = [log for log in logs if log.samples * log.timestep > SHORTEST] or list(logs)
-    whole = sum(log.samples for log in kept)
-    if whole > LONGEST:
-        kept = kept[:: max(1, round(whole / LONGEST))]
-    most = max(LONGEST // len(kept), round(SHORTEST / kept[0].timestep))
-    return tuple(log if log.samples <= most else log.between(0, most, "start") for log in kept)
+    chosen = [log for log in logs if log.samples * log.timestep > SHORTEST] or list(logs)
+    samples = sum(log.samples for log in chosen)
+    if samples > LONGEST:
+        chosen = chosen[:: max(1, round(samples / LONGEST))]
+    longest = max(LONGEST // len(chosen), round(SHORTEST / chosen[0].timestep))
+    return tuple(log if log.samples <= longest else log.between(0, longest, "start") for log in chosen)
 
 
 def _narrow(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left:
-    """Compute the residual torque up to the highest bandwidth in which noise does not dominate."""
     imitations, joints = imitate(recordings, space, vector), range(recordings.bench.nv)
-    noisier = tuple(map(add_noise, recordings.logs))
+    noisy_logs = tuple(map(add_noise, recordings.logs))
 
     def leave(logs: Sequence[Log], filtering: Filtering) -> Left:
         return _leave(recordings._replace(logs=logs), space, vector, filtering)
 
     def compare(filtering: Filtering) -> tuple[Left, bool]:
-        """Compute the residual torque with its reference; return whether encoder noise dominates."""
-        left, worse = leave(recordings.logs, filtering), leave(noisier, filtering)
-        noise = worse._replace(torque=worse.torque - left.torque, counts=left.counts)
-        drowned = (np.square(noise.torque).mean(axis=0) > DROWNED * np.square(left.torque).mean(axis=0)).any()
-        return left._replace(nothing=noise if imitations is None else leave(imitations, filtering)), bool(drowned)
+        """Compute the residual torque with its reference, and whether encoder noise dominates."""
+        residual, noisy = leave(recordings.logs, filtering), leave(noisy_logs, filtering)
+        noise = noisy._replace(torque=noisy.torque - residual.torque, counts=residual.counts)
+        dominated = (np.square(noise.torque).mean(axis=0) > DROWNED * np.square(residual.torque).mean(axis=0)).any()
+        return residual._replace(nothing=noise if imitations is None else leave(imitations, filtering)), bool(dominated)
 
-    left, drowned = compare(filtering)
-    # At reversals, an imitation with a soft constraint leaves more than a real drive without such a constraint.
-    if imitations is not None and any(_rms(left.noise(at)) > SOFTER * _rms(left.of(at)) for at in joints):
+    residual, dominated = compare(filtering)
+    # At reversals, a soft constraint gives the imitation more residual torque than a real drive has.
+    if imitations is not None and any(
+        _rms(residual.noise(joint)) > SOFTER * _rms(residual.of(joint)) for joint in joints
+    ):
         imitations = imitate(recordings, space, vector, stiff=True) or imitations
-        left = left._replace(nothing=leave(imitations, filtering))
+        residual = residual._replace(nothing=leave(imitations, filtering))
     for bandwidth in BANDWIDTHS:
-        if not drowned or bandwidth >= filtering.bandwidth:
+        if not dominated or bandwidth >= filtering.bandwidth:
             break
         try:
             narrower = replace(filtering, bandwidth=bandwidth)
             if sum(narrower.decimation(recordings.logs).rows) < FEWEST:
                 break
-            (left, drowned), filtering = compare(narrower), narrower
+            (residual, dominated), filtering = compare(narrower), narrower
         except FrictionzooError:  # too short for this bandwidth
             break
-    return left
+    return residual
 
 
 def _leave(
@@ -249,8 +235,8 @@ def _leave(
     slow = speed < np.maximum(filtering.slow * np.sqrt(np.mean(np.square(speed), axis=0)), 3 * noise)
     near = max(1, round(0.5 / filtering.bandwidth / logs[0].timestep))
     decimate, places = equation.decimate, _places(equation.decimate)
-    own = decimate(friction), friction[places], ~_near_rest(slow, near, decimate)[places]
-    return Left(equation, equation.left(vector, friction), *own, recordings, state, filtering.bandwidth)
+    rows = decimate(friction), friction[places], ~_near_rest(slow, near, decimate)[places]
+    return Left(equation, equation.left(vector, friction), *rows, recordings, state, filtering.bandwidth)
 
 
 def _velocity_noise(log: Log, filtering: Filtering) -> Float[np.ndarray, "nv"]:
@@ -261,10 +247,7 @@ def _velocity_noise(log: Log, filtering: Filtering) -> Float[np.ndarray, "nv"]:
 
 
 def _near_rest(slow: Bool[np.ndarray, "time nv"], near: int, decimate: Decimation) -> Bool[np.ndarray, "time nv"]:
-    """Return the samples within `near` samples of a rest in their log; a rest has `near / 2` slow samples or more.
-
-    At rest, friction is whatever holds the joint, and the filter spreads it over neighbouring samples.
-    """
+    """Return the samples within `near` of a rest, where friction is whatever holds the joint; the filter spreads it."""
     parts = []
     for part in np.split(slow, np.cumsum(decimate.lengths)[:-1]):
         lasting = scipy.ndimage.binary_opening(part, np.ones((max(2, near // 2), 1)))
@@ -273,7 +256,7 @@ def _near_rest(slow: Bool[np.ndarray, "time nv"], near: int, decimate: Decimatio
 
 
 def _places(decimate: Decimation) -> Int[np.ndarray, "rows"]:
-    """Return the index of the sample of each row."""
+    """Return the index of each row's sample."""
     starts = np.cumsum((0, *decimate.lengths[:-1]))
     ends = zip(starts, decimate.lengths, strict=True)
     return np.concatenate(
@@ -282,15 +265,15 @@ def _places(decimate: Decimation) -> Int[np.ndarray, "rows"]:
 
 
 def _follow(model: FrictionModel, logs: Sequence[Log]) -> Friction:
-    """Return a function for the model torque over the recorded motion [N m or N]; memory restarts with each log."""
+    """Return a function for the model torque over recorded motion [N m or N]; memory restarts with each log."""
     if model.memory:
         return _remember(model, logs)
 
     def friction(values: Mapping[str, Any], state: DriveState) -> Float[np.ndarray, "time nv"]:
-        own = {name: torch.tensor(np.asarray(value, np.float64)) for name, value in values.items()}
+        tensors = {name: torch.tensor(np.asarray(value, np.float64)) for name, value in values.items()}
         with torch.no_grad():
-            seen = torch_state(state)
-            return sliding_torque(torch, model.terms(torch, own, seen), seen.qvel).numpy()
+            inputs = torch_state(state)
+            return sliding_torque(torch, model.terms(torch, tensors, inputs), inputs.qvel).numpy()
 
     return friction
 
@@ -302,13 +285,13 @@ def _remember(model: FrictionModel, logs: Sequence[Log]) -> Friction:
     @jax.jit
     def follow(values: Mapping[str, Any], state: DriveState) -> Any:
         def step(memory: Any, now: tuple[DriveState, Any]) -> tuple[Any, Any]:
-            seen, begin = now
-            memory = jnp.where(begin, model.settle(jnp, values, seen), memory)
-            terms, memory = model.advance(jnp, values, seen, memory, logs[0].timestep)
-            return memory, sliding_torque(jnp, terms, seen.qvel)
+            inputs, begin = now
+            memory = jnp.where(begin, model.settle(jnp, values, inputs), memory)
+            terms, memory = model.advance(jnp, values, inputs, memory, logs[0].timestep)
+            return memory, sliding_torque(jnp, terms, inputs.qvel)
 
-        first = model.settle(jnp, values, state.map(lambda signal: signal[0]))
-        return jax.lax.scan(step, first, (state, jnp.asarray(begins)))[1]
+        initial = model.settle(jnp, values, state.map(lambda signal: signal[0]))
+        return jax.lax.scan(step, initial, (state, jnp.asarray(begins)))[1]
 
     return lambda values, state: np.asarray(follow(values, state.map(jnp.asarray)), np.float64)
 
@@ -318,18 +301,18 @@ def _slopes(
 ) -> Float[np.ndarray, "rows nv parameters"]:
     """Return the derivative of the residual torque by each identified parameter, changed in all joints at once.
 
-    Values at a bound stay. Actuator parameters are skipped unless they are torques: with free gains, the torque
-    equation has a solution in which all torques are 0.
+    Values at a bound stay. Actuator parameters other than torques are skipped: with free gains, zero torque solves the
+    torque equation.
     """
     bench, model, logs = left.recordings
     friction = _follow(model, logs)
-    reached, slopes = space.at_bound(vector), [np.zeros((*left.torque.shape, 0))]
-    scales = {f"bench.{name}" for name, of in bench.actuator.dimensions.items() if of != "torque"}
-    for name, own in space.split(np.arange(len(vector))).items():
+    at_bound, slopes = space.at_bound(vector), [np.zeros((*left.torque.shape, 0))]
+    scales = {f"bench.{name}" for name, dimension in bench.actuator.dimensions.items() if dimension != "torque"}
+    for name, indices in space.split(np.arange(len(vector))).items():
         if name in scales:
             continue
         moved = np.array(vector, np.float64)
-        moved[own[~reached[own]]] += STEP
+        moved[indices[~at_bound[indices]]] += STEP
         values = space.values(jnp.asarray(moved, space.start.dtype))["friction"]
         torque = left.equation.left(moved, friction(values, left.equation.state(moved)))
         slopes.append((torque - left.torque)[:, :, None] / STEP)
@@ -342,17 +325,17 @@ def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.Joi
     if len(rows) < FEWEST:
         return None
     error, noise, friction = left.of(joint), left.noise(joint), left.friction[rows, joint]
-    whole = _rms(friction + error)
+    total = _rms(friction + error)
     return {
         "joint": left.recordings.bench.joints[joint],
         "rows": len(rows),
         "residual": _rms(error),
         "noise": _rms(noise),
-        "friction": whole,
+        "friction": total,
         "correlation": correlation(error),
         "noise_correlation": correlation(noise),
         "kurtosis": excess(error),
-        "places": [row for row in _attribute(left, joint, slopes) if _counts(row, whole)],
+        "places": [row for row in _attribute(left, joint, slopes) if _counts(row, total)],
     }
 
 
@@ -368,16 +351,20 @@ def _attribute(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> list[typ
     if (gap := _find_gap(looked, left, joint)) is not None:
         return [gap]
     chosen = _choose(looked)
-    same = looked if left.nothing is None else _look(left.nothing, joint, slopes[-1])
-    alike = _candidates(same, chosen)
+    ideal = looked if left.nothing is None else _look(left.nothing, joint, slopes[-1])
+    factors = _candidates(ideal, chosen)
 
     def usual(name: str, before: Sequence[str]) -> Factors:
-        known = [alike[each].columns for each in before if each in alike]
-        there = name in alike and same is not looked
-        return find_factors(same.error, np.column_stack([same.known, *known]), alike[name].columns) if there else 0.0
+        columns = [factors[earlier].columns for earlier in before if earlier in factors]
+        exists = name in factors and ideal is not looked
+        return (
+            find_factors(ideal.error, np.column_stack([ideal.known, *columns]), factors[name].columns)
+            if exists
+            else 0.0
+        )
 
-    found = attribute(looked.error, looked.known, _candidates(looked, chosen), left.recordings.bench.nv, usual)
-    return [_name_law(one, looked, chosen, usual(one.name, ()), left.law(joint)) for one in found]
+    explained = attribute(looked.error, looked.known, _candidates(looked, chosen), left.recordings.bench.nv, usual)
+    return [_name_law(factor, looked, chosen, usual(factor.name, ()), left.law(joint)) for factor in explained]
 
 
 class _Looked(NamedTuple):
@@ -394,20 +381,20 @@ class _Looked(NamedTuple):
 def _find_gap(looked: _Looked, left: Left, joint: int) -> types.PlaceRow | None:
     """Return the factor `gap` if most of the squared error is near sign changes of the motor torque."""
     near = near_crossings(looked.seen, _places(looked.decimate)[looked.rows])
-    squares, few = np.square(looked.error), max(len(near) // ALONE, 1)
-    if not few < near.sum() < len(near) - few or _rms(looked.error) < CLEAR * _rms(left.noise(joint)):
+    squares, fewest = np.square(looked.error), max(len(near) // ALONE, 1)
+    if not fewest < near.sum() < len(near) - fewest or _rms(looked.error) < CLEAR * _rms(left.noise(joint)):
         return None
     inside, outside = squares[near].mean(), max(squares[~near].mean(), 1e-300)
     share = float((inside - outside) * near.sum() / squares.sum())
-    counts = [part.sum() / ALIKE for part in (near, ~near)]
-    chance = left.recordings.bench.nv * float(scipy.stats.f.sf(inside / outside, *counts))
+    freedom = [part.sum() / ALIKE for part in (near, ~near)]
+    chance = left.recordings.bench.nv * float(scipy.stats.f.sf(inside / outside, *freedom))
     law = left.law(joint)[0].name
     if share < CONCENTRATED or chance > LEVEL:
         return None
-    about = {"place": "gap", "periods": None, "value": None, "share": share, "chance": chance}
-    size = float(np.sqrt(share)) * _rms(looked.error)
-    named = {"known": law == GAP, "law": None if law == GAP else GAP, "whole": False}
-    return cast(types.PlaceRow, about | {"torque": size} | named)
+    row = {"place": "gap", "periods": None, "value": None, "share": share, "chance": chance}
+    torque = float(np.sqrt(share)) * _rms(looked.error)
+    law_fields = {"known": law == GAP, "law": None if law == GAP else GAP, "whole": False}
+    return cast(types.PlaceRow, row | {"torque": torque} | law_fields)
 
 
 def _look(left: Left, joint: int, slopes: Float[np.ndarray, "rows nv parameters"]) -> _Looked:
@@ -428,10 +415,9 @@ def _choose(looked: _Looked) -> dict[str, float]:
 
 
 def _candidates(looked: _Looked, chosen: Mapping[str, float]) -> dict[str, Candidate]:
-    """Return all candidates for an error."""
     seen, decimate, rows = looked.seen, looked.decimate, looked.rows
-    excess = decimate(beyond_limit(seen, chosen["limit"]))[rows]
-    candidates = {"limit": Candidate(excess, len(LIMITS))} if is_limited(excess, looked.error) else {}
+    beyond = decimate(beyond_limit(seen, chosen["limit"]))[rows]
+    candidates = {"limit": Candidate(beyond, len(LIMITS))} if is_limited(beyond, looked.error) else {}
     candidates |= as_candidates(seen, decimate, rows)
     for name in chosen.keys() & RIPPLES.keys():
         columns = decimate(ripple(seen, chosen[name], name == "cogging"))[rows]
@@ -449,7 +435,7 @@ def _name_law(
     place = RIPPLES.get(one.name, one.name)
     law, sees = joint
     name, whole = (None, False) if place in OF_BENCH else suggest_law(law, sees, place)
-    found = {
+    row = {
         "place": place,
         "periods": chosen[one.name] if one.name in RIPPLES else None,
         "value": chosen["limit"] if place == "limit" else _value(place, looked, usual),
@@ -460,7 +446,7 @@ def _name_law(
         "law": name,
         "whole": whole,
     }
-    return cast(types.PlaceRow, found)
+    return cast(types.PlaceRow, row)
 
 
 def _value(place: str, looked: _Looked, usual: Factors) -> float | None:
@@ -476,14 +462,14 @@ def _see(left: Left, joint: int) -> Seen:
     state, logs = left.state, left.recordings.logs
     begins = np.cumsum([0, *(log.samples for log in logs[:-1])])
     qpos, qvel = state.qpos[:, joint], state.qvel[:, joint]
-    warmth = [log.extras.get("temperature") for log in logs]
-    known = [one for one in warmth if one is not None]
-    temperature = np.concatenate(known)[:, joint] if len(known) == len(logs) else None
+    temperatures = [log.extras.get("temperature") for log in logs]
+    recorded = [signal for signal in temperatures if signal is not None]
+    temperature = np.concatenate(recorded)[:, joint] if len(recorded) == len(logs) else None
     since = time_since_reversal(qvel, begins, logs[0].timestep)
-    at, asked = _places(left.equation.decimate), state.motor_torque[:, joint]
-    motor = asked - np.interp(np.arange(len(qpos)), at, left.torque[:, joint])
-    about = since, asked, begins, logs[0].timestep, temperature
-    return Seen(qpos, qvel, motor, state.external_torque[:, joint], *about)
+    places, commanded = _places(left.equation.decimate), state.motor_torque[:, joint]
+    motor = commanded - np.interp(np.arange(len(qpos)), places, left.torque[:, joint])
+    others = since, commanded, begins, logs[0].timestep, temperature
+    return Seen(qpos, qvel, motor, state.external_torque[:, joint], *others)
 
 
 def _rms(values: Float[np.ndarray, "rows"]) -> float:

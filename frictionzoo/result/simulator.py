@@ -26,7 +26,7 @@ _WHOLE = 0.01  # largest relative deviation from a whole number of steps, as for
 
 
 class Simulated(NamedTuple):
-    """What replaces the parts of a drive in a simulator; see `FittedDrive`."""
+    """Parts that replace those of a drive in a simulator; see `FittedDrive`."""
 
     bench: Bench
     values: Values
@@ -43,16 +43,10 @@ def put_into_simulator(
     timestep: float | None,
     integrator: str | None,
 ) -> Simulated:
-    """Return the parts of a drive for a simulator, as `FittedDrive.at` describes.
+    """Return the parts of a drive for a simulator with `timestep` [s]; `settings` is the section `bench`.
 
-    Args:
-        bench: Bench of the drive.
-        model: Friction model.
-        values: Values of the drive.
-        segments: Long test rollouts.
-        settings: Section `bench` of the settings.
-        timestep: Simulation step [s], or None.
-        integrator: Name of the integrator, or None.
+    Raises:
+        ConfigError: As `FittedDrive.at`.
     """
     continuous = bench.second_order
     if integrator is not None and integrator.casefold() == RK4.casefold():
@@ -63,8 +57,8 @@ def put_into_simulator(
             "continuous time; identify it with bench.second_order=true"
         )
     if timestep is None:
-        home = remake(bench, timestep=None).timestep if continuous else bench.timestep
-        timestep = bench.timestep if _share_samples(segments, home) is None else home
+        default_step = remake(bench, timestep=None).timestep if continuous else bench.timestep
+        timestep = bench.timestep if _share_samples(segments, default_step) is None else default_step
     every, interval = _share_samples(segments, timestep), segments.timestep
     if every is None:
         raise ConfigError(
@@ -75,40 +69,30 @@ def put_into_simulator(
     if integrator not in (None, RK4):
         step["integrator"] = integrator
     if integrator == RK4:
-        moved = build({**settings, **step, **_soften(bench, timestep)}, Bench)
+        simulated = build({**settings, **step, **_soften(bench, timestep)}, Bench)
     elif continuous:
-        moved = build_simulated(bench, settings, values, step)
-        values = compensate(moved, model, values, segments)
+        simulated = build_simulated(bench, settings, values, step)
+        values = compensate(simulated, model, values, segments)
     else:
-        moved = build({**settings, **step}, Bench)
-    moved = moved.observing(bench.observed)
-    sampling = moved.sampling(every * interval)
-    return Simulated(moved, values, thin(segments, every, sampling.history), sampling)
+        simulated = build({**settings, **step}, Bench)
+    simulated = simulated.observing(bench.observed)
+    sampling = simulated.sampling(every * interval)
+    return Simulated(simulated, values, thin(segments, every, sampling.history), sampling)
 
 
 def find_limited(values: Values, continuous: Values) -> list[int]:
-    """Find the joints whose compensated armature was raised to the smallest allowed value.
-
-    Args:
-        values: Values for the simulator, from `compensate`.
-        continuous: Values of the drive in continuous time.
-    """
+    """Find the joints whose armature `compensate` raised to the smallest allowed value."""
     return np.flatnonzero(values["bench"]["armature"] == _LEAST * continuous["bench"]["armature"]).tolist()
 
 
 def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, step: Mapping[str, Any]) -> Bench:
     """Build the bench for a first-order simulator from one of second order.
 
-    Commands act half a step later, and dry friction is no stiffer than the simulator allows.
-
-    Args:
-        bench: Bench of second order.
-        settings: Section `bench` of the settings.
-        values: Values of the drive.
-        step: `timestep` [s], and `integrator` if it differs.
+    Commands act half a step later, and dry friction is no stiffer than the simulator allows. `settings` is the section
+    `bench`; `step` holds `timestep` [s], and `integrator` if it differs.
     """
-    known = {"init": _delay(values, step["timestep"]).tolist(), "high": 1.0, "identify": False}
-    params = {**(settings.get("params") or {}), "delay": known}
+    delay = {"init": _delay(values, step["timestep"]).tolist(), "high": 1.0, "identify": False}
+    params = {**(settings.get("params") or {}), "delay": delay}
     softer = _soften(bench, step["timestep"])
     return build({**settings, **step, **softer, "second_order": False, "params": params}, Bench)
 
@@ -116,17 +100,12 @@ def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, s
 def compensate(
     bench: Bench, model: FrictionModel, values: Values, segments: Segments
 ) -> dict[str, dict[str, np.ndarray]]:
-    """Return a drive's values for a first-order simulator.
+    """Return a drive's values for a first-order simulator with this bench, from values in continuous time.
 
-    Its step evaluates velocity-dependent torques at the beginning or end of the step instead of the middle. For a
+    The simulator evaluates velocity-dependent torques at the beginning or end of the step instead of the middle. For a
     torque -d v, an armature larger or smaller by h/2 d compensates this. If d depends on the state, its median over the
-    measured states is used. An armature keeps at least a tenth of its value.
-
-    Args:
-        bench: First-order bench from `build_simulated`.
-        model: Friction model.
-        values: Values of the drive in continuous time.
-        segments: Measured states; empty: one state with all inputs equal to 1.
+    measured states is used; without states, over one state with all inputs equal to 1. An armature keeps at least a
+    tenth of its value.
     """
     stepping = SecondOrder(bench, friction_of(model))
     with jax.enable_x64(True):
@@ -134,11 +113,11 @@ def compensate(
         rows = jax.tree.map(lambda signal: jnp.asarray(signal, jnp.float64).reshape(-1, bench.nv), states)
         if not segments.count:  # a card has no recordings: one state in motion
             rows = jax.tree.map(lambda signal: jnp.ones((1, bench.nv)), rows)
-        known = jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), values)
-        more = np.asarray(stepping.surplus(known, *rows), np.float64)
+        arrays = jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), values)
+        surplus = np.asarray(stepping.surplus(arrays, *rows), np.float64)
     armature = np.asarray(values["bench"]["armature"])
-    changed = {"armature": np.maximum(armature + more, _LEAST * armature), "delay": _delay(values, bench.timestep)}
-    return {owner: {**of, **changed} if owner == "bench" else dict(of) for owner, of in values.items()}
+    changed = {"armature": np.maximum(armature + surplus, _LEAST * armature), "delay": _delay(values, bench.timestep)}
+    return {owner: {**named, **changed} if owner == "bench" else dict(named) for owner, named in values.items()}
 
 
 def _soften(bench: Bench, timestep: float) -> dict[str, list[float]]:

@@ -25,22 +25,20 @@ _log = logging.getLogger(__name__)
 
 
 def choose_filtering(fit: Fit, torque: Mapping[str, Any]) -> tuple[Filtering, bool]:
-    """Return the filtering of compared torque, and whether commands are held; the options override the fit.
+    """Return the filtering of compared torque, and whether commands are held.
 
-    Args:
-        fit: Fit method.
-        torque: `evaluation.torque`: `bandwidth` [Hz] and `held`; None: as in the fit.
+    Options of `torque` (`evaluation.torque`: `bandwidth` [Hz], `held`) override the fit's; None: as in the fit.
 
     Raises:
         ConfigError: An option is unknown or invalid.
     """
     for name in torque.keys() - AS_THE_FIT.keys():
         raise ConfigError(f"evaluation.torque.{name}: unknown; {closest(name, AS_THE_FIT)}")
-    given = {**AS_THE_FIT, **torque}
-    held = fit.held if given["held"] is None else bool(given["held"])
-    if given["bandwidth"] is None:
+    options = {**AS_THE_FIT, **torque}
+    held = fit.held if options["held"] is None else bool(options["held"])
+    if options["bandwidth"] is None:
         return replace(fit.filtering, option="evaluation.torque"), held
-    return Filtering(float(given["bandwidth"]), option="evaluation.torque"), held
+    return Filtering(float(options["bandwidth"]), option="evaluation.torque"), held
 
 
 def measure_torque(
@@ -52,12 +50,7 @@ def measure_torque(
 ) -> types.TorqueRow | None:
     """Compute the root mean square residual torque of each joint, as defined in `TorqueRow`.
 
-    Args:
-        recordings: Bench, friction model and all logs, training logs first.
-        train: Number of training logs.
-        space: Coordinates of the values.
-        vector: Values in these coordinates.
-        filtering: Result of `choose_filtering`.
+    `recordings` has all logs, with the `train` training logs first; `filtering` comes from `choose_filtering`.
 
     Returns:
         Section `torque`. None: the recordings have no torque, or it cannot be compared and a log line gives the reason.
@@ -68,20 +61,19 @@ def measure_torque(
     try:
         measured = compared == "torque"
         equation = TorqueEquation(space, recordings, *filtering, measured=measured)
-        left, driving = equation.lack(vector), equation.driving(vector)
+        residual, driving = equation.lack(vector), equation.driving(vector)
     except FrictionzooError as error:
         _log.info("residual torque not computed: %s", error)
         return None
-    seen = int(np.cumsum(equation.rows)[train - 1])
-    halves = [np.split(torque, [seen]) for torque in (left, driving)]
-    found = {part: _rms(*torques) for part, torques in zip(("train", "test"), zip(*halves, strict=True), strict=True)}
-    used, held = filtering
-    how = {"compared": compared, "bandwidth": used.bandwidth, "held": held and not measured}
-    return cast(types.TorqueRow, how | _describe(recordings.bench, found))
+    training_rows = int(np.cumsum(equation.rows)[train - 1])
+    halves = [np.split(torque, [training_rows]) for torque in (residual, driving)]
+    rms = {part: _rms(*torques) for part, torques in zip(("train", "test"), zip(*halves, strict=True), strict=True)}
+    chosen, held = filtering
+    options = {"compared": compared, "bandwidth": chosen.bandwidth, "held": held and not measured}
+    return cast(types.TorqueRow, options | _describe(recordings.bench, rms))
 
 
 def _find_torque(recordings: Recordings) -> Literal["torque", "ctrl"] | None:
-    """Return the signal that holds the torque: `torque`, `ctrl` or None."""
     bench, model, logs = recordings
     if isinstance(model, TorchFriction):
         _log.info("residual torque not computed: %s exists only in torch", model.name)
@@ -107,5 +99,7 @@ def _describe(bench: Bench, found: Mapping[str, Float[np.ndarray, "torques nv"]]
     return {
         "unit": UNITS[bench.joint_type]["torque"],
         "mean": row(lambda rms: rms.mean(axis=1)),
-        "by_joint": [{"joint": joint, **row(lambda rms, at=at: rms[:, at])} for at, joint in enumerate(bench.joints)],
+        "by_joint": [
+            {"joint": joint, **row(lambda rms, index=index: rms[:, index])} for index, joint in enumerate(bench.joints)
+        ],
     }

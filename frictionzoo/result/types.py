@@ -1,7 +1,6 @@
-"""Types of `result.json`.
+"""Types of `result.json`, from which `make docs` generates `result.schema.json`.
 
-`make docs` generates `result.schema.json` from them: the text below a key becomes its description, and the entries of
-`Annotated` after a type become JSON schema keywords.
+The text below a key becomes its description; entries of `Annotated` after a type become JSON schema keywords.
 """
 
 from typing import Annotated, Any, Literal, TypedDict

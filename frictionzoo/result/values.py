@@ -24,8 +24,7 @@ class Parameter(NamedTuple):
         identified: Whether the fit estimated it; otherwise it was known.
         interval: Lower and upper end of each joint's 95 % interval; NaN: no interval.
         identifiable: Whether the data determine it in all joints; None: not tested.
-        by_joint: Entries of `result.json`, one per joint or per group of joints that share a value, with `name`,
-            `joints`, `identified`, `at_bound` and `identifiable`.
+        by_joint: Entries of `result.json`, one per joint or per group of joints that share a value.
     """
 
     value: Float[np.ndarray, "nv"]
@@ -38,32 +37,24 @@ class Parameter(NamedTuple):
 
 def read_parameters(result: Result, nv: int) -> dict[str, Parameter]:
     """Read the physical parameters of bench and friction model from a record, by full name (`bench.armature`)."""
-    found = {}
+    parameters = {}
     for row in result["parameters"]:
         value, interval = row["value"], row["interval"]
         ends: Any = interval if interval is not None and isinstance(value, list) else [interval]
         ends = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
         arrays = np.broadcast_to(np.asarray(value, np.float64), nv), np.broadcast_to(ends, (nv, 2))
-        known = row["identified"], arrays[1], row["identifiable"], row["by_joint"]
-        found[f"{row['owner']}.{row['name']}"] = Parameter(arrays[0], row["unit"], *known)
-    return found
+        details = row["identified"], arrays[1], row["identifiable"], row["by_joint"]
+        parameters[f"{row['owner']}.{row['name']}"] = Parameter(arrays[0], row["unit"], *details)
+    return parameters
 
 
 def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncertainty: Uncertainty) -> list[ValueRow]:
-    """List the entries of a parameter in the order of the joints.
-
-    Args:
-        bench: Bench with the joints and the groups that share the value.
-        param: The parameter.
-        full: Full name, such as `bench.armature`.
-        value: Value of each joint that has the parameter.
-        uncertainty: Intervals and identifiability.
-    """
+    """List a parameter's entries in joint order; `full` is its full name, `value` covers the joints that have it."""
     nv = bench.nv
     value = param.spread(np.asarray(value, np.float64), nv)
-    free, low, high = (param.each(what, nv) for what in ("identify", "low", "high"))
-    reached = free & param.is_at_bound(value)
-    ends = uncertainty.intervals.get(full, np.full((nv, 2), np.nan))
+    identified, low, high = (param.each(field, nv) for field in ("identify", "low", "high"))
+    at_bound = identified & param.is_at_bound(value)
+    intervals = uncertainty.intervals.get(full, np.full((nv, 2), np.nan))
     determined = uncertainty.determined.get(full)
 
     def describe(name: str, joints: Sequence[int]) -> ValueRow:
@@ -74,10 +65,10 @@ def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncert
             "value": float(value[first]),
             "low": float(low[first]),
             "high": float(high[first]),
-            "identified": bool(free[first]),
-            "at_bound": bool(reached[first]),
-            "interval": ends[first].tolist() if np.isfinite(ends[first]).all() else None,
-            "identifiable": bool(determined[first]) if determined is not None and free[first] else None,
+            "identified": bool(identified[first]),
+            "at_bound": bool(at_bound[first]),
+            "interval": intervals[first].tolist() if np.isfinite(intervals[first]).all() else None,
+            "identifiable": bool(determined[first]) if determined is not None and identified[first] else None,
         }
 
     return [describe(*group) for group in _group(bench, param, value).items()]
@@ -88,13 +79,13 @@ def _group(bench: Bench, param: Param, value: np.ndarray) -> dict[str, list[int]
     groups, members = bench.groups(param), param.members(bench.nv)
     if not param.is_identified:
         # Known values of a group may differ.
-        alike = {group: {value[i] for i in members if groups[i] == group} for group in groups}
-        groups = [of if len(alike[of]) == 1 else bench.joints[i] for i, of in enumerate(groups)]
+        values = {group: {value[i] for i in members if groups[i] == group} for group in groups}
+        groups = [name if len(values[name]) == 1 else bench.joints[i] for i, name in enumerate(groups)]
         same = bench.nv > 1 and (value[members] == value[members[0]]).all()
         groups = [ALL] * bench.nv if same else groups
-    found: dict[str, list[int]] = {}
+    joints: dict[str, list[int]] = {}
     for joint in members:
-        found.setdefault(groups[joint], []).append(joint)
-    if ALL in found and len(members) < bench.nv:
-        found = {name_first([bench.joints[joint] for joint in members]): members}
-    return found
+        joints.setdefault(groups[joint], []).append(joint)
+    if ALL in joints and len(members) < bench.nv:
+        joints = {name_first([bench.joints[joint] for joint in members]): members}
+    return joints

@@ -1,7 +1,4 @@
-"""Verdict on a result: findings with causes first, a grade, and next commands.
-
-The terminal, the page and `result.json` show these findings only.
-"""
+"""Verdict on a result: findings, causes first, a grade and next commands, for terminal, page and `result.json`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import cast
@@ -65,12 +62,7 @@ _MORE = "raise fit.iterations"
 
 
 def judge(result: Result, commands: Sequence[CommandRow] = ()) -> VerdictRow:
-    """Return the verdict on a result, with the commands that it allows.
-
-    Args:
-        result: The record; its `verdict` is ignored.
-        commands: Suggested commands, in the order of `VerdictRow`.
-    """
+    """Return the verdict on a record, ignoring its `verdict`; `commands` are suggested in `VerdictRow`'s order."""
     ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
     findings = sorted(find_doubts(result), key=lambda row: (ranks.get(row["kind"], len(ranks)), not row["severe"]))
     severe = any(finding["severe"] for finding in findings)
@@ -91,12 +83,12 @@ def _allow(commands: Sequence[CommandRow], grade: str, identified: bool) -> list
 
 
 def is_usable(result: Result) -> bool:
-    """Return whether the verdict allows export of a result and its use for experiment design."""
+    """Return whether the verdict allows export and experiment design."""
     return result["verdict"]["grade"] != DO_NOT_USE
 
 
 def say_purposes(commands: Sequence[CommandRow]) -> str:
-    """Return the purposes of suggested commands in their order."""
+    """Return the purposes of suggested commands."""
     return ", ".join(PURPOSES[row["kind"]] for row in commands)
 
 
@@ -128,8 +120,8 @@ def find_doubts(result: Result) -> Iterator[FindingRow]:
     for p in result["parameters"]:
         if p["at_bound"]:
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
-            ended = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
-            yield _find("bounds", ended, "widen the bounds or try another model", severe=_is_cut_off(p))
+            text = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
+            yield _find("bounds", text, "widen the bounds or try another model", severe=_is_cut_off(p))
     yield from _doubt_parameters(result)
     yield from _doubt_stability(result)
 
@@ -157,9 +149,9 @@ def _doubt_train(result: Result) -> Iterator[FindingRow]:
         text = f"the test error is {test / train:.2g} times the training error"
         free = sum(row["identified"] for parameter in result["parameters"] for row in parameter["by_joint"])
         free += result["network"]["weights"] if result["network"] else 0
-        seen = sum(log["samples"] for log in result["data"]["logs"] if log["part"] == "train")
-        other = "the test data contain motion that the training data lack: compare speeds, loads and times"
-        yield _find("train", text, f"the fit may be overfitted, or {other}" if ENOUGH * free > seen else other)
+        samples = sum(log["samples"] for log in result["data"]["logs"] if log["part"] == "train")
+        remedy = "the test data contain motion that the training data lack: compare speeds, loads and times"
+        yield _find("train", text, f"the fit may be overfitted, or {remedy}" if ENOUGH * free > samples else remedy)
 
 
 def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
@@ -177,7 +169,6 @@ def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
 
 
 def _doubt_parameters(result: Result) -> Iterator[FindingRow]:
-    """Yield findings on parameters that the data do not determine."""
     if doubtful := name_unidentifiable(result["parameters"]):
         text = f"not identifiable from these data: {', '.join(doubtful)}"
         yield _find("identifiability", text, "do not interpret these values")
@@ -196,32 +187,32 @@ def list_rollouts(result: Result) -> list[tuple[str, MetricsRow]]:
 
 
 def _doubt_stability(result: Result) -> Iterator[FindingRow]:
-    lost = [(name, metrics) for name, metrics in list_rollouts(result) if metrics["diverged"]]
-    if lost:
-        counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in lost]
-        severe = any(not name.startswith("frictionless") for name, _ in lost)
+    diverged = [(name, metrics) for name, metrics in list_rollouts(result) if metrics["diverged"]]
+    if diverged:
+        counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in diverged]
+        severe = any(not name.startswith("frictionless") for name, _ in diverged)
         yield _find("stability", f"diverged and excluded from the errors: {'; '.join(counts)}", severe=severe)
 
 
 def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
-    """Yield the residual factors, and residual torque beyond noise that no factor explains."""
+    """Yield the residual factors, and unexplained residual torque beyond noise."""
     rows, unit = residual["by_joint"], residual["unit"]
-    found: dict[tuple[str, str | None], list[tuple[JointResidualRow, PlaceRow]]] = {}
+    factors: dict[tuple[str, str | None], list[tuple[JointResidualRow, PlaceRow]]] = {}
     for row in rows:
         for place in row["places"]:
-            found.setdefault((place["place"], place["law"]), []).append((row, place))
+            factors.setdefault((place["place"], place["law"]), []).append((row, place))
     for (place, law), pairs in sorted(
-        found.items(), key=lambda item: -max(p["torque"] / r["friction"] for r, p in item[1])
+        factors.items(), key=lambda item: -max(p["torque"] / r["friction"] for r, p in item[1])
     ):
         severe = any(pair["torque"] > CONTRADICTED * row["friction"] for row, pair in pairs)
         yield _find("residual", _say_place(place, pairs, unit, len(rows)), _say_law(pairs[0][1]), severe, law)
     for row in rows:
         share = _unexplained(row)
         if share > UNEXPLAINED and row["correlation"] > ALIKE and not row["places"]:
-            of = f" of {row['joint']}" if len(rows) > 1 else ""
+            where = f" of {row['joint']}" if len(rows) > 1 else ""
             yield _find(
                 "residual",
-                f"the residual torque{of} exceeds noise by {say_percent(share)} of the friction (neighbours in time "
+                f"the residual torque{where} exceeds noise by {say_percent(share)} of the friction (neighbours in time "
                 f"correlate by {row['correlation']:.2f}), and no residual factor explains it",
                 "check the known values (gains, inertia, delay) and elasticity between motor and joint",
                 severe=share > CONTRADICTED,
@@ -229,7 +220,7 @@ def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
 
 
 def _unexplained(row: JointResidualRow) -> float:
-    """Return the root mean square residual torque beyond noise, as a share of the friction."""
+    """Return the RMS residual torque beyond noise, as a share of the friction."""
     return float(np.sqrt(max(row["residual"] ** 2 - row["noise"] ** 2, 0.0))) / row["friction"]
 
 
@@ -240,17 +231,16 @@ def _is_explained(residual: ResidualRow | None) -> bool:
 
 
 def _doubt_torque(torque: TorqueRow) -> Iterator[FindingRow]:
-    """Yield a finding if recorded torque contradicts the result in any joint on test data."""
     if torque["compared"] != "torque":
         return
     shares = {row["joint"]: _share(row["test"]) for row in torque["by_joint"]}
     doubtful = {joint: share for joint, share in shares.items() if share > DOUBTED}
     if doubtful:
         worst = max(doubtful, key=lambda joint: doubtful[joint])
-        of = f" of {name_some([*doubtful])}" if len(shares) > 1 else ""
+        where = f" of {name_some([*doubtful])}" if len(shares) > 1 else ""
         yield _find(
             "torque",
-            f"recorded torque{of} contradicts the result: on test data it differs from the torque that the motion "
+            f"recorded torque{where} contradicts the result: on test data it differs from the torque that the motion "
             f"needs by {say_percent(shares[worst])}",
             "check the actuator's gains, signs and units (data.units.torque), and the links' masses",
             severe=shares[worst] > CONTRADICTED,
@@ -264,14 +254,14 @@ def _share(errors: TorqueErrorsRow) -> float:
 
 def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], unit: str, joints: int) -> str:
     """Describe a residual factor, with its size in the joint in which it is largest."""
-    row, most = max(found, key=lambda pair: pair[1]["torque"] / pair[0]["friction"])
-    of = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
-    ripple = "" if most["periods"] is None else f" ({_say_periods(most['periods'], unit)})"
-    size = f"{most['torque']:.2g} {unit}, {say_percent(most['torque'] / row['friction'])} of the friction"
-    upto = "up to " if len(found) > 1 else ""
+    row, factor = max(found, key=lambda pair: pair[1]["torque"] / pair[0]["friction"])
+    where = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
+    ripple = "" if factor["periods"] is None else f" ({_say_periods(factor['periods'], unit)})"
+    size = f"{factor['torque']:.2g} {unit}, {say_percent(factor['torque'] / row['friction'])} of the friction"
+    up_to = "up to " if len(found) > 1 else ""
     return (
-        f"the residual torque{of} is not noise: {PLACES[place]}{ripple} explains {upto}"
-        f"{100 * min(most['share'], 1.0):.0f} % of it ({size})"
+        f"the residual torque{where} is not noise: {PLACES[place]}{ripple} explains {up_to}"
+        f"{100 * min(factor['share'], 1.0):.0f} % of it ({size})"
     )
 
 
@@ -311,24 +301,21 @@ def _say_law(place: PlaceRow) -> str:
 
 
 def explain_failure(result: Result) -> list[str] | None:
-    """Explain why a fit did not identify the drive; None if it may have.
+    """Explain why a fit did not identify the drive: symptom, then reasons, likeliest first; None if it may have.
 
     A fit fails if at least two parameters end at a bound and the test error exceeds a third of the error without
-    friction: the model then compensates another error with unrealistic values. A friction term whose size ends at its
-    lower bound does not count: a drive may lack dry friction.
-
-    Returns:
-        The symptom, then likely reasons, the likeliest first.
+    friction: the model then compensates another error with unrealistic values. A friction term at the lower bound of
+    its size does not count: a drive may lack dry friction.
     """
     ended = [name_where(p, at_bound=True) for p in result["parameters"] if p["at_bound"] and not _is_absent(p)]
-    error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
-    gained_little = error is None or (without is not None and error > LITTLE * without)
+    error, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    gained_little = error is None or (baseline is not None and error > LITTLE * baseline)
     if len(ended) < BOUNDS or not gained_little:
         return None
     share = (
         "is unknown"
-        if error is None or not without
-        else f"is {100 * error / without:.0f} % of the error without friction"
+        if error is None or not baseline
+        else f"is {100 * error / baseline:.0f} % of the error without friction"
     )
     return [
         f"{' and '.join(ended)} ended at their bounds, and the test error {share}",
@@ -358,18 +345,17 @@ def _is_size(parameter: ParameterRow) -> bool:
 
 
 def _ended_high(parameter: ParameterRow) -> bool:
-    """Return whether the parameter ended at its upper bound in any joint."""
     ended = [row for row in parameter["by_joint"] if row["at_bound"]]
     return any(row["value"] - row["low"] >= row["high"] - row["value"] for row in ended)
 
 
 def doubt_gain(result: Result) -> str | None:
     """Report that a model explains almost none of the error without friction; None if it explains more."""
-    error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
-    if result["model"] == "baseline" or error is None or not without or error <= NOTHING * without:
+    error, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    if result["model"] == "baseline" or error is None or not baseline or error <= NOTHING * baseline:
         return None
     return (
-        f"on test data the position error is {100 * error / without:.0f} % of the error without friction: the model "
+        f"on test data the position error is {100 * error / baseline:.0f} % of the error without friction: the model "
         "explains almost nothing, or recordings or bench are wrong"
     )
 
@@ -381,9 +367,9 @@ def doubt_joints(result: Result) -> str | None:
         return None
     worse = []
     for joint in joints:
-        error, without = (joint[part]["position_mae"] for part in ("test", "baseline"))
-        if error is not None and without and error >= without:
-            worse.append(f"{joint['joint']} (+{100 * (error / without - 1):.0f} %)")
+        error, baseline = (joint[part]["position_mae"] for part in ("test", "baseline"))
+        if error is not None and baseline and error >= baseline:
+            worse.append(f"{joint['joint']} (+{100 * (error / baseline - 1):.0f} %)")
     if not worse:
         return None
     return (
@@ -398,11 +384,8 @@ def list_moving(
     """List the parameters that still moved when the fit ended.
 
     A parameter moves if its means over the two halves of the last tenth of the iterations differ by more than a third
-    of half its 95 % interval, or by more than 1 % of its value if it has no interval.
-
-    Args:
-        history: Values by label, `bench.armature`, or `bench.armature/knee` with several joints.
-        intervals: Intervals by label.
+    of half its 95 % interval, or by more than 1 % of its value if it has no interval. Labels are `bench.armature`, or
+    `bench.armature/knee` with several joints.
     """
     moving = []
     for name, values in history.items():

@@ -40,33 +40,28 @@ def read_schema() -> dict[str, Any]:
 
 
 def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Comparison:
-    """Return the content of `comparison.json`.
-
-    Args:
-        runs: At least one run, comparable as checked by `gather`.
-        failures: Jobs without a result.
-    """
+    """Return the content of `comparison.json` for at least one run, checked by `gather`, and jobs without a result."""
     ranked = sorted(runs, key=_rank)
     pairs = _compare_pairs(ranked)
-    first, test = ranked[0].result, ranked[0].result["metrics"]["test"]
+    result, test = ranked[0].result, ranked[0].result["metrics"]["test"]
     reference = next((run for run in ranked if run.result["model"] == "baseline"), None)
     comparison: rows.Comparison = {
         "schema_version": SCHEMA_VERSION,
-        "data": first["data"],
-        "joints": first["joints"],
+        "data": result["data"],
+        "joints": result["joints"],
         "unit": test["unit"],
         "velocity_unit": test["velocity_unit"],
         "torque_unit": "N m" if test["unit"] == "rad" else "N",
         "evaluation": {
-            "sha256": first["evaluation"]["sha256"],
+            "sha256": result["evaluation"]["sha256"],
             "horizon": test["horizon"],
             "rollouts": test["rollouts"],
             "long_rollouts": len(ranked[0].curves.qpos),
-            "long_horizon": first["paper"]["a"]["model"]["horizon"],
+            "long_horizon": result["paper"]["a"]["model"]["horizon"],
         },
         "recommendation": _recommend(ranked, pairs),
         "reference": reference.label if reference else None,
-        "reference_doubt": doubt_reference(reference.result["parameters"] if reference else first["reference"]),
+        "reference_doubt": doubt_reference(reference.result["parameters"] if reference else result["reference"]),
         "runs": [_describe(run, reference) for run in ranked],
         "failures": [cast(rows.FailureRow, asdict(failure)) for failure in failures],
         "differences": _list_differences(ranked),
@@ -124,7 +119,6 @@ def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference
 
 
 def _list_unidentifiable(run: Run) -> list[str]:
-    """Return the labels of the values that are not identifiable from the run's data."""
     labelled = (label_values(parameter) for parameter in run.result["parameters"])
     return [label for values in labelled for label, row in values.items() if row["identifiable"] is False]
 
@@ -136,9 +130,9 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
     error = f"Test MAE {test['position_mae']:.3g} {unit} with {values} identified value{'s' * (values != 1)}"
     if chosen is not best:
         pair = pairs[chosen.label, best.label]
-        lowest, most = best.result["metrics"]["test"]["position_mae"], count_identified(best.result)
+        lowest, count = best.result["metrics"]["test"]["position_mae"], count_identified(best.result)
         text = (
-            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {most}, is within noise of it "
+            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {count}, is within noise of it "
             f"(difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over {rollouts} "
             f"paired rollouts; below {100 * MATTERS:g} % of the error counts as noise). No simpler run is within noise"
         )
@@ -163,12 +157,12 @@ def _say_hair(best: Run, pairs: Mapping[tuple[str, str], Difference]) -> str:
     for (label, other), pair in pairs.items():
         if other == best.label and pair.verdict in close and pair.by_a_hair:
             close[pair.verdict].append(label)
-    said = [
-        f"{', '.join(labels)} ({how})"
-        for how, labels in (("within noise", close["noise"]), ("worse", close["worse"]))
+    groups = [
+        f"{', '.join(labels)} ({words})"
+        for words, labels in (("within noise", close["noise"]), ("worse", close["worse"]))
         if labels
     ]
-    return f" Near the limit of noise: {', '.join(said)}; other rollouts may decide otherwise." if said else ""
+    return f" Near the limit of noise: {', '.join(groups)}; other rollouts may decide otherwise." if groups else ""
 
 
 def _describe(run: Run, reference: Run | None) -> rows.RunRow:
@@ -185,7 +179,7 @@ def _describe(run: Run, reference: Run | None) -> rows.RunRow:
         "change": {"train": _change(run, reference, "train"), "test": _change(run, reference, "test")},
         "rollout_mae": run.curves.test_mae.tolist(),
         "by_horizon": [
-            {"horizon": one["horizon"], "train": one["train"], "test": one["test"]} for one in result["by_horizon"]
+            {"horizon": row["horizon"], "train": row["train"], "test": row["test"]} for row in result["by_horizon"]
         ],
         "paper": {"a": result["paper"]["a"]["model"], "b": result["paper"]["b"]["model"]},
         "parameters": result["parameters"],
@@ -198,16 +192,13 @@ def _describe(run: Run, reference: Run | None) -> rows.RunRow:
 
 
 def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> float | None:
-    """Return the relative change to the error without friction.
-
-    The error without friction comes from the reference run, or else, on test data only, from the run's baseline.
-    """
+    """Return the relative change to the reference run's error, or else, on test data only, to the run's baseline's."""
     value = run.result["metrics"][part]["position_mae"]
     if reference:
-        without = reference.result["metrics"][part]["position_mae"]
+        frictionless = reference.result["metrics"][part]["position_mae"]
     else:
-        without = run.result["metrics"]["baseline"]["position_mae"] if part == "test" else None
-    return value / without - 1 if value is not None and without else None
+        frictionless = run.result["metrics"]["baseline"]["position_mae"] if part == "test" else None
+    return value / frictionless - 1 if value is not None and frictionless else None
 
 
 def _list_differences(runs: Sequence[Run]) -> list[rows.DifferenceRow]:

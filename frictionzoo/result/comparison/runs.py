@@ -15,8 +15,8 @@ from frictionzoo.result.record import read_run
 from frictionzoo.result.types import Result
 
 MOST_NAMED = 2  # largest number of options in a label
-# Sections that may differ between compared runs; differences are listed. Options of the model belong to the model,
-# and data and evaluation must not differ.
+# Sections whose differences a comparison lists. Options of the model belong to the model; data and evaluation must
+# not differ.
 NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench", "teacher")
 
 
@@ -25,8 +25,7 @@ class Run:
     """Finished run.
 
     Attributes:
-        label: Unique name in a comparison: its model, and what distinguishes it from other runs of that model.
-        folder: Folder of the run.
+        label: Unique name in a comparison: its model, and its difference from other runs of that model.
         result: Content of its `result.json`.
         curves: Content of its `curves.safetensors`.
     """
@@ -38,19 +37,16 @@ class Run:
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
-    """Read the runs in these folders, and their failures.
-
-    Args:
-        folders: Folders of runs, or of sweeps that contain runs.
+    """Read the runs in these folders of runs or sweeps, and their failures.
 
     Raises:
         RunError: A folder holds no run, a run cannot be read, or two runs are not comparable.
     """
     for folder in folders:
         refuse_links(folder, files=False)
-    found = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
-    failures = [failure for folder in found if (failure := read_failure(folder))]
-    read = [(folder, *read_run(folder)) for folder in found if (folder / RESULT).exists()]
+    run_folders = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
+    failures = [failure for folder in run_folders if (failure := read_failure(folder))]
+    read = [(folder, *read_run(folder)) for folder in run_folders if (folder / RESULT).exists()]
     return gather([Run(result["model"], folder, result, curves) for folder, result, curves in read]), failures
 
 
@@ -66,25 +62,25 @@ def gather(runs: Sequence[Run]) -> list[Run]:
 
 
 def _refuse_incomparable(run: Run, first: Run) -> None:
-    came, expected = run.result, first.result
-    if came["data"]["sha256"] != expected["data"]["sha256"]:
-        names = [f"{data['name']} (SHA-256 {data['sha256'][:12]})" for data in (came["data"], expected["data"])]
-        both = f"data {names[0]}, expected {names[1]} as in {first.folder}"
-        raise RunError(f"{run.folder}: {both}; compare runs on the same data")
-    if came["evaluation"]["sha256"] != expected["evaluation"]["sha256"]:
-        options = differing([came["settings"], expected["settings"]], ("evaluation", "data"))
-        named = [f"{name}={came}, expected {expected}" for name, (came, expected) in options.items()]
-        both = f"{'; '.join(named)} as in {first.folder}" if named else f"its rollouts differ from {first.folder}"
-        raise RunError(f"{run.folder}: {both}; compare runs evaluated on the same rollouts")
+    actual, expected = run.result, first.result
+    if actual["data"]["sha256"] != expected["data"]["sha256"]:
+        names = [f"{data['name']} (SHA-256 {data['sha256'][:12]})" for data in (actual["data"], expected["data"])]
+        text = f"data {names[0]}, expected {names[1]} as in {first.folder}"
+        raise RunError(f"{run.folder}: {text}; compare runs on the same data")
+    if actual["evaluation"]["sha256"] != expected["evaluation"]["sha256"]:
+        options = differing([actual["settings"], expected["settings"]], ("evaluation", "data"))
+        changes = [f"{name}={actual}, expected {expected}" for name, (actual, expected) in options.items()]
+        text = f"{'; '.join(changes)} as in {first.folder}" if changes else f"its rollouts differ from {first.folder}"
+        raise RunError(f"{run.folder}: {text}; compare runs evaluated on the same rollouts")
     for field in fields(Curves):
-        came, expected = (getattr(curves, field.name) for curves in (run.curves, first.curves))
-        if field.name not in OWN and came.shape != expected.shape:
-            both = f"{field.name} of shape {came.shape}, expected {expected.shape} as in {first.folder}"
-            raise RunError(f"{run.folder}: {both}; run it again")
+        actual, expected = (getattr(curves, field.name) for curves in (run.curves, first.curves))
+        if field.name not in OWN and actual.shape != expected.shape:
+            text = f"{field.name} of shape {actual.shape}, expected {expected.shape} as in {first.folder}"
+            raise RunError(f"{run.folder}: {text}; run it again")
 
 
 def differing(settings: Sequence[Mapping[str, Any]], sections: Sequence[str]) -> dict[str, list[Any]]:
-    """Return the options of these sections in which runs differ: dotted name to one value per run, None if unset."""
+    """Return the options of these sections in which runs differ: dotted name to each run's value, None if unset."""
     leaves = [dict(list_options({name: options.get(name) for name in sections})) for options in settings]
     names = dict.fromkeys(name for options in leaves for name in options)
     table = {name: [options.get(name) for options in leaves] for name in names}
@@ -95,14 +91,14 @@ def _label_among(run: Run, same: Sequence[Run]) -> str:
     if len(same) == 1:
         return run.label
     place = same.index(run)
-    for described in _describe(same):
-        if len(set(described)) == len(same):
-            return f"{run.label} {described[place]}"
+    for descriptions in _describe(same):
+        if len(set(descriptions)) == len(same):
+            return f"{run.label} {descriptions[place]}"
     return f"{run.label} ({run.folder.name} {place})"
 
 
 def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
-    """Yield texts that may distinguish runs of one model, the simplest first: one text per run."""
+    """Yield texts that may distinguish runs of one model, one per run, the simplest first."""
     yield [f"fit={run.result['fit']['method']}" for run in same]
     options = differing([run.result["settings"] for run in same], (*NAMED, "model"))
     if len(options) <= MOST_NAMED:

@@ -37,51 +37,43 @@ def spread(fits: Sequence[FittedDrive] | Mapping[str, Sequence[FittedDrive]]) ->
     The method of moments estimates both variances, limited to at least 0: first between the recordings of each unit,
     then between the units. For `scale: log`, the mean converts them into the parameter's unit.
 
+    Each drive is identified from one recording, with the same bench and model. A sequence holds the drives of one unit,
+    a mapping those of several units by name.
+
     Source: R. DerSimonian, N. Laird, "Meta-analysis in clinical trials", 1986; S. Konstantopoulos, "Fixed effects and
     variance components estimation in three-level meta-analysis", 2011, for two levels of spread.
 
-    Args:
-        fits: Drives, each identified from one recording with the same bench and model: a sequence for one unit, or a
-            mapping from the names of several units.
-
     Returns:
-        The spread of each parameter that is identifiable in all fits, by label: its full name; with several joints also
-        `/` and the joint's name.
+        Spread of each parameter that is identifiable in all fits, by full name; with several joints `NAME/JOINT`.
 
     Raises:
         RunError: There are fewer than two fits, or a fit has no intervals.
     """
     units = fits if isinstance(fits, Mapping) else {"unit": fits}
-    drives = [drive for own in units.values() for drive in own]
+    drives = [drive for members in units.values() for drive in members]
     if len(drives) < 2:
         raise RunError(f"fits: {len(drives)}, expected at least two, each from a different recording; give more")
     rows = [_read(drive) for drive in drives]
     labels = [label for label in rows[0] if all(label in row for row in rows)]
-    group = np.repeat(np.arange(len(units)), [len(own) for own in units.values()])
-    found = {}
+    group = np.repeat(np.arange(len(units)), [len(members) for members in units.values()])
+    spreads = {}
     for label in labels:
-        value, variance = (np.array([row[label][at] for row in rows]) for at in (0, 1))
+        value, variance = (np.array([row[label][index] for row in rows]) for index in (0, 1))
         mean, run, unit, error = separate(value, variance, group)
         scale = rows[0][label][2]
-        middle, by = (np.exp(mean), np.exp(mean)) if isinstance(scale, str) else (mean * scale, scale)
-        found[label] = Spread(float(middle), *(float(by * each) for each in (run, unit, error)))
-    return found
+        middle, factor = (np.exp(mean), np.exp(mean)) if isinstance(scale, str) else (mean * scale, scale)
+        spreads[label] = Spread(float(middle), *(float(factor * deviation) for deviation in (run, unit, error)))
+    return spreads
 
 
 def separate(value: Numbers, variance: Numbers, group: Int[np.ndarray, "_"]) -> tuple[float, float, float, float]:
-    """Return the mean, the standard deviations `run` and `unit` of `Spread`, and the standard error of the mean.
-
-    Args:
-        value: Estimates.
-        variance: Variance of each estimate's error.
-        group: Number of each estimate's unit.
-    """
-    owns = [group == number for number in np.unique(group)]
-    sums = np.sum([_moments(value[own], variance[own]) for own in owns], axis=0)
+    """Return mean, `run`, `unit`, `error` of `Spread` from estimates, their error variances and unit numbers."""
+    masks = [group == number for number in np.unique(group)]
+    sums = np.sum([_moments(value[mask], variance[mask]) for mask in masks], axis=0)
     run = np.sqrt(max(0.0, sums[0] / sums[1])) if sums[1] > 0 else np.nan
     weights = 1 / (variance + np.nan_to_num(run) ** 2)
-    totals = np.array([weights[own].sum() for own in owns])
-    means = np.array([np.average(value[own], weights=weights[own]) for own in owns])
+    totals = np.array([weights[mask].sum() for mask in masks])
+    means = np.array([np.average(value[mask], weights=weights[mask]) for mask in masks])
     excess, share = _moments(means, 1 / totals)
     unit = np.sqrt(max(0.0, excess / share)) if share > 0 else np.nan
     final = 1 / (1 / totals + np.nan_to_num(unit) ** 2)
@@ -104,9 +96,9 @@ def _read(drive: FittedDrive) -> dict[str, tuple[float, float, str | float]]:
             "intervals to separate spread from uncertainty; leave it out"
         )
     centre, variance = row["centre"], np.diag(np.array(row["matrix"]))
-    sure = {name for name, parameter in drive.parameters.items() if parameter.identifiable}
+    identifiable = {name for name, parameter in drive.parameters.items() if parameter.identifiable}
     return {
-        label: (centre[at], float(variance[at]), row["scale"][at])
-        for at, label in enumerate(row["labels"])
-        if label.partition("/")[0] in sure
+        label: (centre[index], float(variance[index]), row["scale"][index])
+        for index, label in enumerate(row["labels"])
+        if label.partition("/")[0] in identifiable
     }

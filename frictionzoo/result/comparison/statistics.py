@@ -26,9 +26,8 @@ class Difference:
         mean: Mean of the rollouts' differences [rad or m]; NaN if no rollout is finite for both.
         low: Lower end of its 95 % interval.
         high: Upper end of its 95 % interval.
-        verdict: `better` if the first drive's error is smaller, `worse` if it is larger, `noise` if the interval
-            contains 0 or the mean is below `MATTERS` of the smaller error. If one drive diverged more often, that alone
-            decides.
+        verdict: `better` if the first drive's error is smaller, `worse` if larger, `noise` if the interval contains 0
+            or the mean is below `MATTERS` of the smaller error. If one drive diverged more often, that alone decides.
     """
 
     mean: float
@@ -38,7 +37,7 @@ class Difference:
 
     @property
     def by_a_hair(self) -> bool:
-        """Whether an end of the interval is so close to 0 that a few other rollouts might change the verdict."""
+        """Whether an end of the interval is so close to 0 that other rollouts might change the verdict."""
         return min(abs(self.low), abs(self.high)) < HAIR * (self.high - self.low) / 2
 
 
@@ -50,21 +49,18 @@ def resample(rollouts: int) -> Int[np.ndarray, "resamples rollouts"]:
 def difference(first: Errors, second: Errors, counts: Int[np.ndarray, "resamples rollouts"]) -> Difference:
     """Estimate the mean difference of two drives' errors with a percentile interval from a paired bootstrap.
 
-    Source: B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", Chapman and Hall 1993, section 13.3.
+    An error is NaN if its rollout diverged; `counts` comes from `resample`.
 
-    Args:
-        first: Error of the first drive in each rollout; NaN if the rollout diverged.
-        second: Errors of the second drive on the same rollouts.
-        counts: Result of `resample`.
+    Source: B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", Chapman and Hall 1993, section 13.3.
     """
-    both = np.isfinite(first) & np.isfinite(second)
-    mean, low, high = _interval(np.where(both, first - second, 0.0), both, counts)
-    lost = np.isnan(first).sum() - np.isnan(second).sum()
-    if lost:
-        return Difference(mean, low, high, "worse" if lost > 0 else "better")
-    smaller = min(errors[both].mean() if both.any() else 0.0 for errors in (first, second))
-    told_apart = not low <= 0 <= high and abs(mean) >= MATTERS * smaller
-    return Difference(mean, low, high, ("better" if mean < 0 else "worse") if told_apart else "noise")
+    finite = np.isfinite(first) & np.isfinite(second)
+    mean, low, high = _interval(np.where(finite, first - second, 0.0), finite, counts)
+    surplus = np.isnan(first).sum() - np.isnan(second).sum()
+    if surplus:
+        return Difference(mean, low, high, "worse" if surplus > 0 else "better")
+    smaller = min(errors[finite].mean() if finite.any() else 0.0 for errors in (first, second))
+    distinct = not low <= 0 <= high and abs(mean) >= MATTERS * smaller
+    return Difference(mean, low, high, ("better" if mean < 0 else "worse") if distinct else "noise")
 
 
 def _interval(
@@ -79,14 +75,10 @@ def _interval(
 
 
 def error_by_horizon(error: Float[np.ndarray, "rollouts steps"], timestep: float) -> Curve:
-    """Return the mean absolute error over the first h seconds of the rollouts, for evenly spaced h.
+    """Return evenly spaced horizons h [s], and the mean absolute error over the first h seconds of the rollouts.
 
-    Args:
-        error: Absolute error at each step of each rollout; rollouts with non-finite errors are ignored.
-        timestep: Time between steps [s].
-
-    Returns:
-        Horizons [s], and the error at each horizon; NaN if all rollouts diverged.
+    `error` is the absolute error at each `timestep` [s]; rollouts with non-finite errors are ignored. The result is NaN
+    if all rollouts diverged.
     """
     steps = np.unique(np.linspace(0, error.shape[1], POINTS + 1).round().astype(int)[1:])
     steps = steps[steps > 0]
@@ -110,20 +102,13 @@ def mean_of_finite(values: Float[np.ndarray, "values"]) -> float:
 
 
 def autocorrelation(residual: Float[np.ndarray, "rollouts steps"], timestep: float, longest: float) -> Curve:
-    """Return the autocorrelation of the simulation errors, mean over rollouts.
+    """Return lags [s] up to `longest`, and the autocorrelation of signed simulation errors, mean over rollouts.
 
     It shows structure that a better model could explain. For white noise, the coefficients at lags above 0 lie within
-    +- 1.96 / sqrt(samples) in 95 % of cases.
+    +- 1.96 / sqrt(samples) in 95 % of cases. Rollouts with non-finite errors are ignored; NaN if all diverged or have
+    no error.
 
     Source: L. Ljung, "System Identification", 2nd ed., Prentice Hall 1999, section 16.6, residual analysis.
-
-    Args:
-        residual: Signed error at each step of each rollout; rollouts with non-finite errors are ignored.
-        timestep: Time between steps [s].
-        longest: Largest lag [s].
-
-    Returns:
-        Lags [s], and the coefficients; NaN if all rollouts diverged or have no error.
     """
     steps = residual.shape[1]
     last = min(steps - 1, round(longest / timestep))
