@@ -1,1 +1,1 @@
-"""What `import frictionzoo` gives: functions for scripts and notebooks, and the objects that they return."""
+"""Functions and objects of `import frictionzoo`, for scripts and notebooks."""

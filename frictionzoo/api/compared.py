@@ -14,7 +14,7 @@ from frictionzoo.result.comparison.types import Comparison, PairRow
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compared:
-    """Drives that were identified on the same recordings and evaluated on the same rollouts.
+    """Drives identified on the same recordings and evaluated on the same rollouts.
 
     Attributes:
         record: Content of `comparison.json`.
@@ -71,7 +71,6 @@ class Compared:
         return summarise_comparison(self.record, None)
 
     def _repr_html_(self) -> str:
-        """Return the same as HTML, for notebooks."""
         from frictionzoo.report.terminal import summarise_comparison_in_html
 
         return summarise_comparison_in_html(self.record, None)

@@ -44,7 +44,7 @@ def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -
     Raises:
         OutputError: A file cannot be written.
     """
-    # Imported here: a comparison without files does not need the plotting libraries.
+    # Imported late: a comparison without files needs no plotting libraries.
     from frictionzoo.report.comparison_figures import write_figures
     from frictionzoo.report.comparison_page import write_page
     from frictionzoo.report.latex import tabulate_latex

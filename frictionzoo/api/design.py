@@ -47,8 +47,8 @@ def design_recording(options: Mapping[str, str], run: FittedDrive | None = None)
     """Design the next command to record, as `python -m frictionzoo.design` does.
 
     Args:
-        options: Options by name, as text; see `frictionzoo.design.excitation.excite`.
-        run: The run whose identified values describe the drive; None for the initial values of conf/.
+        options: Options as text; see `frictionzoo.design.excitation.excite`.
+        run: Run whose identified values describe the drive; None for the initial values of conf/.
 
     Raises:
         FrictionzooError: An option or the run is invalid, or no command keeps the limits.

@@ -30,10 +30,9 @@ class Identified(FittedDrive):
         return cls(**{field.name: getattr(drive, field.name) for field in fields(drive)})
 
     def save(self, folder: str | Path) -> Result:
-        """Write figures, values, curves, MJCF and page. `result.json` comes last and marks a complete folder.
+        """Write figures, values, curves, MJCF and page, and replace unchanged files of an earlier run.
 
-        Args:
-            folder: Folder to write; created if missing. Unchanged files of an earlier run are replaced.
+        `result.json` comes last and marks a complete folder.
 
         Returns:
             Content of `result.json`; `written` gives the deviation of each model file from the drive.
@@ -49,14 +48,14 @@ class Identified(FittedDrive):
             return self._write(folder, began)
 
     def _write(self, folder: Path, began: float) -> Result:
-        # Imported here because the plotting libraries slow down reading a run.
+        # Imported late: plotting libraries slow down reading a run.
         from frictionzoo.export.bench import write_identified
         from frictionzoo.report.replay import record_replay
         from frictionzoo.report.run_page import write_report
         from frictionzoo.report.run_plots import write_figures
 
         write_figures(folder / "figures", self.result, self.curves)
-        # One entry only: the order of several entries in safetensors changes from run to run.
+        # One entry: safetensors writes several in an order that changes from run to run.
         header = {"frictionzoo": f"{self.model.name}, version {__version__}"}
         write_atomically(folder / LAW, safetensors.torch.save(dict(self.state), header))
         write_curves(folder, self.curves)
@@ -75,13 +74,10 @@ class Identified(FittedDrive):
     def plot(self) -> Figure:
         """Plot measured and simulated motion of the first long test rollout, with and without friction.
 
-        Returns:
-            Matplotlib figure, which a notebook shows and `savefig` writes.
-
         Raises:
             RunError: The drive comes from a card.
         """
-        # Imported here because the plotting libraries slow down other uses.
+        # Imported late: plotting libraries slow down other uses.
         from frictionzoo.report.run_plots import draw_rollout
 
         self.recorded  # noqa: B018 - raises for a card
@@ -112,7 +108,6 @@ class Identified(FittedDrive):
         return summarise(self.result, self.folder)
 
     def _repr_html_(self) -> str:
-        """Return the same as HTML for a notebook."""
         from frictionzoo.report.terminal import summarise_in_html
 
         return summarise_in_html(self.result, self.folder)

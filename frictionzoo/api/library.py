@@ -1,4 +1,4 @@
-"""The functions for scripts and notebooks: read, identify, compare, load, and friction models by name."""
+"""Functions for scripts and notebooks: read, identify, compare, load, and friction models by name."""
 
 import contextlib
 import copy
@@ -169,7 +169,7 @@ def read(
         inputs: Further inputs of the actuator model: for each a number, or the name of a field with the number.
         payload: Payload of the drive in each recording, as in `data.payload`.
         clean: Rules for cleaning the recordings.
-        origin: Origin of the recordings, `hardware` or `simulated`; None: not stated.
+        origin: `hardware` or `simulated`; None: not stated.
 
     Returns:
         The logs; each lists its `repairs`.
@@ -182,8 +182,8 @@ def read(
         raise LogError("read: no recording, expected paths, tables or mappings; name one, as in read('a.csv')")
     refuse_unlike("clean", clean, Cleaning, "a Cleaning, as in Cleaning(step=0.002)")
     paths = [str(recording) for recording in recordings if isinstance(recording, str | Path)]
-    held = [recording for recording in recordings if not isinstance(recording, str | Path)]
-    tables = [_to_table(f"recording {number} in memory", recording) for number, recording in enumerate(held, 1)]
+    in_memory = [recording for recording in recordings if not isinstance(recording, str | Path)]
+    tables = [_to_table(f"recording {number} in memory", recording) for number, recording in enumerate(in_memory, 1)]
     tests = [str(path) for path in ([test] if isinstance(test, str | Path) else test)]
     options = {"format": format, "columns": columns, "units": units, "sign": sign, "fields": fields, "where": where}
     options |= {"fields_from_name": fields_from_name, "exclude": exclude, "inputs": inputs, "payload": payload}
@@ -212,7 +212,7 @@ def identify(
     device: str = "auto",
     compilation_cache: str | None = "user",
 ) -> Identified:
-    """Identify a drive's armature and friction from its logs, like `python -m frictionzoo.run`.
+    """Identify a drive's armature and friction from its logs, like `python -m frictionzoo.run`; write nothing.
 
     Args:
         bench: The test stand.
@@ -221,7 +221,7 @@ def identify(
         logs: Recordings.
         test: Recordings for the evaluation: the last share of each, or a rule; None keeps the split of `logs`.
         recipe: `auto` chooses options that neither this call nor the bench sets, from the training logs: precision,
-            segments, loss, command delay, position offset and simulation step. `result["recipe"]` lists them with their
+            segments, loss, command delay, position offset and simulation step. `result["recipe"]` lists them with
             reasons. `given` takes them from the configuration, with the values of the paper, and the step from the
             MJCF.
         method: Name of a fit, such as `auto`, `lm`, `adam`, `grid` or `known`, or a `Fit` with options.
@@ -230,10 +230,9 @@ def identify(
             `by_joint` and others.
         evaluation: Evaluation rollouts: `horizons` [s], `rollouts`, `placement`, `trajectory` [s] and others.
         loop: `chunk`, `patience`, `progress`.
-        scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive; bounds and initial values of a model
-            given by name are multiples of them. The default is 1 in SI units.
-        checkup: `strict`; or `warn`, with which certain errors in the recordings or the bench are warnings of the
-            result.
+        scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, by default 1 in SI units; bounds and
+            initial values of a model given by name are multiples of them.
+        checkup: `strict`; `warn` turns certain errors in the recordings or the bench into warnings of the result.
         discretisation: Whether confidence intervals include the error of the simulation step, estimated from rollouts
             with half the step.
         seed: Seed of a network's initial weights, for a model given by name.
@@ -243,7 +242,7 @@ def identify(
         compilation_cache: Cache of compiled functions: `user`, a path, or None.
 
     Returns:
-        The drive with parameters, intervals, errors, figures and exports. Nothing is written.
+        The drive with parameters, intervals, errors, figures and exports.
 
     Raises:
         FrictionzooError: The input is invalid.
@@ -255,12 +254,12 @@ def identify(
     fit = METHODS.get(method)() if isinstance(method, str) else method
     refuse_unlike("method", fit, Fit, f"a name, {', '.join(METHODS.names())}, or such an object")
     sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
-    given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
-    given |= {"checkup": checkup, "discretisation": discretisation, "seed": seed, "engine": engine, "device": device}
-    given["compilation_cache"] = compilation_cache
-    given |= {} if dtype is None else {"dtype": dtype}
+    chosen: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
+    chosen |= {"checkup": checkup, "discretisation": discretisation, "seed": seed, "engine": engine, "device": device}
+    chosen["compilation_cache"] = compilation_cache
+    chosen |= {} if dtype is None else {"dtype": dtype}
     refuse_unknown(recipe)
-    settings = compose_settings(given, f"recipe={recipe}")
+    settings = compose_settings(chosen, f"recipe={recipe}")
     if isinstance(law, FrictionModel):
         model = law
     else:
@@ -268,13 +267,13 @@ def identify(
         model = _make_law(name, bench.nv, {k: settings[k] for k in ("scale", "seed")}, options)
         model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
-    described = {name: value for name, value in describe(model).items() if name != "nv"}
-    told = describe(bench)
+    model_section = {name: value for name, value in describe(model).items() if name != "nv"}
+    section = describe(bench)
     settings |= {
-        "bench": leave_open(told, settings["bench"], isinstance(bench, Robot)) if recipe == AUTO else told,
+        "bench": leave_open(section, settings["bench"], isinstance(bench, Robot)) if recipe == AUTO else section,
         "data": dict(recordings.section),
         "fit": describe(fit),
-        "model": described,
+        "model": model_section,
     }
     parts = Parts.settle(settings | {"logger": None}, bench, recordings.divide(), copy.deepcopy(model), fit)
     with parts.computing() as place:
@@ -294,8 +293,7 @@ def compare(
     The arguments are those of `identify`, with a list of models, by name or as objects.
 
     Returns:
-        The drives, best first, with paired differences and a recommendation. Models whose fit failed are listed as
-        failures.
+        The drives, best first, with paired differences, a recommendation, and failed fits.
 
     Raises:
         FrictionzooError: The input is invalid, or all fits failed.
@@ -320,12 +318,11 @@ def compare(
 def load(folder: str | Path) -> Identified:
     """Load a finished run or a card.
 
+    A drive from a card has no recordings: its rollouts need segments as an argument.
+
     Args:
         folder: Folder of the run's `result.json` or of the `card.json`; or `hub:OWNER/NAME`, a card of a model hub,
             which needs the extra `hub`.
-
-    Returns:
-        The drive. A drive from a card has no recordings: its rollouts need segments as an argument.
 
     Raises:
         RunError: The folder holds no run or card of this version, or a file is damaged.
@@ -341,7 +338,7 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
     """Make a friction model with the initial values, bounds and options of `conf/model`.
 
     Args:
-        name: Name of the model: a file of `conf/model`, or a registered model.
+        name: A file of `conf/model`, or a registered model.
         nv: Number of joints.
         scale: As in `identify`.
         options: Options of the model, which replace those of the file: `law("neural_friction", hidden=[8, 8])`, or
@@ -384,16 +381,16 @@ def _gather(logs: Logs | Log | Sequence[Log]) -> Logs:
 def _to_table(name: str, recording: Any) -> Table:
     """Convert a recording in memory to a table; two-dimensional samples become several columns."""
     try:
-        held = {str(header): np.asarray(recording[header]) for header in getattr(recording, "columns", recording)}
+        arrays = {str(header): np.asarray(recording[header]) for header in getattr(recording, "columns", recording)}
     except (TypeError, KeyError, IndexError):
         kind = type(recording).__name__
         raise LogError(f"{name}: {kind}, expected a path, a table, or a mapping from header to samples") from None
     columns: dict[str, np.ndarray] = {}
-    for header, samples in held.items():
+    for header, samples in arrays.items():
         if samples.ndim not in (1, 2) or samples.dtype.kind not in "biuf":
-            came = f"{header} of shape {samples.shape} and type {samples.dtype}"
-            raise LogError(f"{name}: {came}, expected numbers of shape (time,)")
-        several = samples.ndim == 2 and samples.shape[1] > 1
-        parts = {f"{header}_{i}": part for i, part in enumerate(samples.T)} if several else {header: samples.ravel()}
+            problem = f"{header} of shape {samples.shape} and type {samples.dtype}"
+            raise LogError(f"{name}: {problem}, expected numbers of shape (time,)")
+        wide = samples.ndim == 2 and samples.shape[1] > 1
+        parts = {f"{header}_{i}": part for i, part in enumerate(samples.T)} if wide else {header: samples.ravel()}
         columns |= {k: v if v.dtype == np.int64 else v.astype(np.float64) for k, v in parts.items()}
     return Table(name, columns, sha256=digest(columns))

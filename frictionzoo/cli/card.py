@@ -19,15 +19,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parsed = _parse(arguments)
     with mistakes_in_one_line():
         options = read_options(parsed.options, "licence=cc-by-4.0")
-        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
+        # Imported late: neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import refuse_unfinished
 
         refuse_unfinished(parsed.folder)
         tell("loading torch and JAX")
         from frictionzoo.report.card.write import write_card
 
-        place, left = write_card(parsed.folder, options)
-        say("\n".join([*(f"warning: {line}" for line in left), f"files: {place}"]))
+        place, warnings = write_card(parsed.folder, options)
+        say("\n".join([*(f"warning: {line}" for line in warnings), f"files: {place}"]))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

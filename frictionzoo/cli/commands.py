@@ -96,17 +96,16 @@ examples:
 Options: data options of a run, and hydra.run.dir=FOLDER for the output.
 """
 _FLAGS = {"-h", "--help"}
-_COMPLETED = "COMP_LINE"  # environment variable with the line that a shell completes
+_COMPLETED = "COMP_LINE"  # variable with the line that a shell completes
 _SWEEP = {"-m", "--multirun"}
 _COMPOSING = ("run", "inspect")  # commands that wait for Hydra before their first output
 
 
 def main(*command: str) -> None:
     """Run the console script, or `python -m frictionzoo.COMMAND`, which passes its name as `command`."""
-    # Objects that torch and JAX create on import and while tracing persist; collecting garbage among them again and
-    # again takes a tenth of a short run.
+    # Objects that torch and JAX create persist; collecting garbage among them takes a tenth of a short run.
     gc.set_threshold(50_000, 20, 10)
-    # Until a command handles Ctrl-C, it ends the program without a traceback.
+    # Ctrl-C ends the program without a traceback until a command handles it.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     outlive_readers()
@@ -132,7 +131,7 @@ def dispatch(arguments: Sequence[str]) -> None:
     elif "--version" in rest:
         print(f"frictionzoo {__version__}")
     else:
-        if name in _COMPOSING and not any(each.startswith("-") for each in {*rest} - _SWEEP):
+        if name in _COMPOSING and not any(argument.startswith("-") for argument in {*rest} - _SWEEP):
             tell(f"frictionzoo {name}: reading the options")
         importlib.import_module(f"frictionzoo.cli.{name}").main(rest)
 

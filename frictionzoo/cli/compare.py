@@ -13,7 +13,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _parse(arguments)
     output = options.output or (options.folders[0] if len(options.folders) == 1 else Path()) / "comparison"
     with mistakes_in_one_line():
-        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
+        # Imported late: neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import find_runs
 
         for folder in options.folders:

@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         fail(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
     with mistakes_in_one_line():
         options = read_options(parsed.options, "velocity=4")
-        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
+        # Imported late: neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import refuse_unfinished
 
         for run in runs:

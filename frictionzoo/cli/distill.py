@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parsed = _parse(arguments)
     with mistakes_in_one_line():
         options = read_options(parsed.options, "model=stribeck")
-        # Imported here and below, so that neither --help nor a mistake waits for torch and JAX.
+        # Imported late: neither --help nor a mistake waits for torch and JAX.
         from frictionzoo.core.jobs import refuse_unfinished
 
         refuse_unfinished(parsed.folder)

@@ -53,8 +53,8 @@ def _explain_refusal(text: str, overrides: Sequence[str]) -> str:
 
 def _explain_unknown(option: str, overrides: Sequence[str]) -> str:
     """Return one line for an unknown option; in a sweep, for the first job that lacks it."""
-    groups = [each for each in read_arguments(overrides) if is_group(each.key_or_group)]
-    chosen = [each for each in groups if each.key_or_group != option]
+    groups = [argument for argument in read_arguments(overrides) if is_group(argument.key_or_group)]
+    chosen = [argument for argument in groups if argument.key_or_group != option]
     for names in itertools.product(*map(choices_named, chosen)):
         choices = [f"{override.key_or_group}={name}" for override, name in zip(chosen, names, strict=True)]
         try:

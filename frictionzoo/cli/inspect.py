@@ -33,23 +33,20 @@ def _inspect(config: DictConfig) -> None:
             raise ConfigError("--multirun: one data set at a time; leave it out")
         check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
         choices = hydra_config.runtime.choices
-        said = choices["data"] != "files" or any(each.startswith("bench") for each in hydra_config.overrides.task)
-        bench = _build_bench(config) if said else None
+        has_bench = choices["data"] != "files" or any(text.startswith("bench") for text in hydra_config.overrides.task)
+        bench = _build_bench(config) if has_bench else None
         say(inspect_data(config, Path(hydra_config.runtime.output_dir), bench))
 
 
 def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
-    """Check the data set of a configuration, write `inspect.html` and `inspect.json`, and return a summary.
+    """Check the data set of a job's configuration, write `inspect.html` and `inspect.json`, and return a summary.
 
-    Args:
-        config: Configuration of a job.
-        folder: Output folder.
-        bench: Bench of the recordings; None if unknown.
+    `bench` is the recordings' test stand, None if unknown.
 
     Raises:
         FrictionzooError: The input is at fault, or a file cannot be written.
     """
-    # Imported here, so that neither --help nor a mistake waits for it.
+    # Imported late: neither --help nor a mistake waits for it.
     from frictionzoo.diagnostics.survey import list_recordings, put_in_order, survey_recordings
     from frictionzoo.report.inspection_page import write_page
     from frictionzoo.report.inspection_terminal import summarise
@@ -91,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _name_files(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with leading file names replaced by `data=files` and `data.train`."""
-    first = next((i for i, each in enumerate(arguments) if "=" in each or each[:1] in "-~"), len(arguments))
-    named = [f'"{name}"' for name in arguments[:first]]
-    return [*(["data=files", f"data.train=[{','.join(named)}]"] if named else []), *arguments[first:]]
+    """Replace leading file names by `data=files` and `data.train`."""
+    count = next((i for i, argument in enumerate(arguments) if "=" in argument or argument[:1] in "-~"), len(arguments))
+    files = [f'"{name}"' for name in arguments[:count]]
+    return [*(["data=files", f"data.train=[{','.join(files)}]"] if files else []), *arguments[count:]]

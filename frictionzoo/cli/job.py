@@ -34,15 +34,10 @@ def run_job(
     options: Sequence[str] = (),
     given: Given | None = None,
 ) -> tuple[Result, str | None]:
-    """Identify a drive and write the run's files.
+    """Identify a drive with the model `name` of conf/model, and write the run's files.
 
-    Args:
-        config: The composed configuration.
-        name: Name of the model, as in conf/model.
-        folder: The run's folder.
-        teacher: A fitted drive whose rollouts replace the measured training segments; None for none.
-        options: Options of the job as `KEY=VALUE`, for the commands that the run suggests.
-        given: Bench and recordings of the configuration, if they have been read already.
+    Rollouts of a `teacher` replace the measured training segments. `options`, as `KEY=VALUE`, enter the commands that
+    the run suggests. `given` has the bench and recordings if they have been read already.
 
     Returns:
         Content of `result.json`, and a one-line message if the fit diverged.
@@ -59,16 +54,16 @@ def run_job(
         problem = measured if teacher is None else measured.following(teacher)
         record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
         origin = Origin.of_run(options, folder, None if teacher is None else teacher.place)
-        found = Identified.of(solve(problem, name, device, record=record, measured=measured, origin=origin))
+        drive = Identified.of(solve(problem, name, device, record=record, measured=measured, origin=origin))
     tell(f"writing {folder}")
-    result = found.save(folder)
+    result = drive.save(folder)
     figures = [folder / name for name in RUN_FILES if name.startswith("figures/") and (folder / name).exists()]
     logger.finish(result["fit"]["iterations"], pick_metrics(result), figures, summarise_in_markdown(result, folder))
-    return result, found.complaint
+    return result, drive.complaint
 
 
 def _identify(name: str, problem: Problem) -> dict[str, str]:
-    """Return what a checkpoint must have in common with this run."""
+    """Return the properties that a checkpoint must share with this run."""
     settings, segments = problem.settings, problem.segments
     sections = {key: settings[key] for key in ("bench", "model", "fit", "segments", "loss", "seed", "dtype")}
     return {
@@ -91,6 +86,6 @@ def _list_hyperparameters(name: str, problem: Problem) -> dict[str, Any]:
     chosen = {"model": name, "data": problem.dataset.name, "fit": problem.fit.name}
     options = dict(list_options(problem.settings))
     indifferent = ("resume", "compilation_cache", "loop.progress", "logger.")
-    # A choice implies bounds and scales; among the few differences that TensorBoard shows they would hide the choice.
+    # A choice implies bounds and scales, which would hide it among the few differences that TensorBoard shows.
     implied = ("_target_", ".default", ".low", ".high", ".scale")
     return chosen | {k: v for k, v in options.items() if not k.startswith(indifferent) and not k.endswith(implied)}

@@ -11,20 +11,23 @@ from frictionzoo.core.telling import Parser, say
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; `arguments` default to `sys.argv`. A user's mistake ends it with one line and status 2."""
-    asked = _parse(arguments).kinds
+    names = _parse(arguments).kinds
     try:
-        for name in asked:
+        for name in names:
             if name not in KINDS:
                 raise ConfigError(f"{name}: no such kind of plug-ins; {closest(name, KINDS)}")
-        # Plug-ins are read from the files that register them, without importing any.
-        say("\n\n".join(list_kind(KINDS[name]) for name in asked or KINDS))
+        # This imports no plug-in.
+        say("\n\n".join(list_kind(KINDS[name]) for name in names or KINDS))
     except FrictionzooError as error:
         fail(str(error))
 
 
 def list_kind(kind: Kind) -> str:
     """Return the plug-ins of a kind, one per line: name, package, option, first line of its docstring."""
-    rows = [(one.name, one.package, kind.choice.format(**one._asdict()), one.summary) for one in kind.list_all()]
+    rows = [
+        (plugin.name, plugin.package, kind.choice.format(**plugin._asdict()), plugin.summary)
+        for plugin in kind.list_all()
+    ]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)] if rows else []
     lines = ("  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)
     return "\n  ".join([f"{kind.plural} (entry-point group {kind.group})", *lines])

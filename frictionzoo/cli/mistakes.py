@@ -34,9 +34,8 @@ def mistakes_in_one_line(
 ) -> Iterator[None]:
     """Turn a user's mistake into one line and exit status 2, and a signal into one line and 128 + its number.
 
-    Args:
-        go_on: Returns, after a signal or a write error, what is saved and how to resume.
-        overrides: Hydra's overrides, to explain its refusals.
+    After a signal or a write error, `go_on` returns the saved state and how to resume. Hydra's `overrides` help to
+    explain its refusals.
     """
     with stoppable():
         try:
@@ -44,7 +43,7 @@ def mistakes_in_one_line(
         except Stopped as stop:
             fail(f"stopped by {signal.Signals(stop.number).name}; {go_on()}", status=128 + stop.number)
         except Exception as error:
-            # Imported here, so that --help does not wait for Hydra.
+            # Imported late: --help does not wait for Hydra.
             from frictionzoo.cli.explain import explain
 
             line = explain(error, overrides)
@@ -67,39 +66,37 @@ def stoppable() -> Iterator[None]:
             raise Stopped(number)
 
     def try_again(lost: Any) -> None:
-        # Python drops exceptions raised in callbacks of its garbage collection, and JAX has such a callback.
+        # Python drops exceptions from callbacks of its garbage collector, and JAX has such a callback.
         if not isinstance(lost.exc_value, Stopped):
             return hook(lost)
         stopped.clear()
         threading.Timer(0.05, os.kill, [os.getpid(), lost.exc_value.number]).start()
 
     stopped: list[int] = []
-    before, hook = {}, sys.unraisablehook
+    handlers, hook = {}, sys.unraisablehook
     for number in (signal.SIGINT, signal.SIGTERM):
-        answered = signal.getsignal(number) not in (signal.SIG_DFL, signal.default_int_handler)
-        if not answered and threading.current_thread() is threading.main_thread():
-            before[number] = signal.signal(number, stop)
-    if before:
+        is_handled = signal.getsignal(number) not in (signal.SIG_DFL, signal.default_int_handler)
+        if not is_handled and threading.current_thread() is threading.main_thread():
+            handlers[number] = signal.signal(number, stop)
+    if handlers:
         sys.unraisablehook = try_again
     try:
         yield
     finally:
         sys.unraisablehook = hook
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
 class _Lasting(io.FileIO):
     """A standard stream that becomes the null device when its reader is gone or the disk is full.
 
-    Attributes:
-        fault: Reason of the failure; empty without failure, and if the reader is gone.
+    `fault` is the reason of a failure; empty if the reader is gone.
     """
 
     fault = ""
 
     def write(self, data: Any) -> int | None:
-        """See `io.FileIO.write`."""
         try:
             return super().write(data)
         except OSError as error:
@@ -113,8 +110,7 @@ class _Lasting(io.FileIO):
 def outlive_readers() -> None:
     """Let a command continue and write its files when nobody reads its output.
 
-    A standard stream that is closed from the start becomes the null device; otherwise the next file would take its
-    number.
+    A standard stream that is closed from the start becomes the null device: otherwise the next file takes its number.
     """
     for number in range(3):
         try:

@@ -26,60 +26,57 @@ _FORMED = re.compile(rf"""[\[{{"']|\$\{{|({"|".join(create_functions().functions
 
 @contextlib.contextmanager
 def given_to_hydra(arguments: Sequence[str]) -> Iterator[None]:
-    """Let Hydra read these arguments, and raise its errors instead of printing them.
-
-    Hydra takes both from `sys.argv` and the environment, which are restored afterwards.
-    """
-    given, full = sys.argv, os.environ.get(_RAISE)
+    """Let Hydra read these arguments in `sys.argv`, and raise its errors, not print them; then restore both."""
+    argv, full_error = sys.argv, os.environ.get(_RAISE)
     # Hydra refuses overrides on both sides of a flag.
     flags_first = sorted(arguments, key=lambda each: each.startswith("~") or ("=" in each and each[0] != "-"))
-    sys.argv, os.environ[_RAISE] = [given[0], *flags_first], "1"
+    sys.argv, os.environ[_RAISE] = [argv[0], *flags_first], "1"
     try:
         yield
     finally:
-        sys.argv = given
-        if full is None:
+        sys.argv = argv
+        if full_error is None:
             del os.environ[_RAISE]
         else:
-            os.environ[_RAISE] = full
+            os.environ[_RAISE] = full_error
 
 
 def refuse_no_choice(arguments: Sequence[str]) -> None:
-    """Refuse overrides that cannot be read, and overrides of a group that do not choose one of its files.
+    """Refuse overrides that cannot be read, or that choose no file of their group, several, or an unknown one.
 
     Raises:
-        ConfigError: An override cannot be read, or chooses no file, several, or an unknown one.
+        ConfigError: There is such an override.
     """
     for override in read_arguments(arguments):
         group = override.key_or_group
         _refuse_no_setting(override)
         if not ("/" in group or is_group(group)):
             continue
-        names, known = choices_named(override), [*list_choices(group), *_list_added(group, arguments)]
-        if group in _OPTIONAL_GROUPS and (override.is_delete() or all(name in known for name in names)):
+        names, valid_names = choices_named(override), [*list_choices(group), *_list_added(group, arguments)]
+        if group in _OPTIONAL_GROUPS and (override.is_delete() or all(name in valid_names for name in names)):
             continue
-        if group == "start" and all(name is None or name in known for name in names):
+        if group == "start" and all(name is None or name in valid_names for name in names):
             continue
-        asked = str(override.input_line)
+        text = str(override.input_line)
         if override.is_delete() or not all(isinstance(name, str) for name in names) or group == "variant":
             needed = (
                 "expected one name, or to leave it out" if group in _OPTIONAL_GROUPS else f"a job needs one {group}"
             )
-            raise ConfigError(f"{asked}: {needed}; {closest(asked.partition('=')[2], known)}")
+            raise ConfigError(f"{text}: {needed}; {closest(text.partition('=')[2], valid_names)}")
         for name in names:
-            if name not in known:
-                raise ConfigError(f"{group}={name}: no such {group}; {closest(name, known)}")
+            if name not in valid_names:
+                raise ConfigError(f"{group}={name}: no such {group}; {closest(name, valid_names)}")
 
 
 def _list_added(group: str, arguments: Sequence[str]) -> list[str]:
     """Return the names of a group's files in the folder of Hydra's flag --config-dir."""
-    flags = [place for place, each in enumerate(arguments) if each.partition("=")[0] in ("--config-dir", "-cd")]
-    folders = [arguments[place].partition("=")[2] or "".join(arguments[place + 1 : place + 2]) for place in flags]
+    flags = [index for index, argument in enumerate(arguments) if argument.partition("=")[0] in ("--config-dir", "-cd")]
+    folders = [arguments[index].partition("=")[2] or "".join(arguments[index + 1 : index + 2]) for index in flags]
     return sorted(path.stem for folder in folders for path in Path(folder, group).glob("*.yaml"))
 
 
 def _refuse_no_setting(override: Override) -> None:
-    """Raise ConfigError for a Hydra setting that it would misread as the working directory, or crash on."""
+    """Refuse a Hydra setting that it would misread as the working directory, or crash on."""
     name, value = override.key_or_group, override.value()
     if name in _FOLDERS and value in (None, ""):
         raise ConfigError(f"{override.input_line}: expected a folder; name one, or leave it out")
@@ -87,8 +84,8 @@ def _refuse_no_setting(override: Override) -> None:
         raise ConfigError(f"{override.input_line}: expected true, false, or names of loggers")
     # Hydra would list all jobs before the first one begins.
     if isinstance(value, RangeSweep) and not 0 < _count(value) <= MOST_JOBS:
-        came = f"{override.input_line}: {_count(value):.3g} jobs"
-        raise ConfigError(f"{came}, expected 1 to {MOST_JOBS}; range(start,stop,step) ends before stop")
+        message = f"{override.input_line}: {_count(value):.3g} jobs"
+        raise ConfigError(f"{message}, expected 1 to {MOST_JOBS}; range(start,stop,step) ends before stop")
 
 
 def _count(values: RangeSweep) -> float:
@@ -113,21 +110,21 @@ def read_arguments(arguments: Sequence[str]) -> Iterator[Override]:
             yield _parse(argument)
         except HydraException as error:
             reason = " ".join(str(error).partition("\nSee ")[0].split())
-            came = f"{argument}: cannot be read ({reason})"
+            message = f"{argument}: cannot be read ({reason})"
             hint = (
                 """close brackets, and put text with commas or brackets into quotes within the shell's: 'KEY="a(b)"'"""
             )
-            raise ConfigError(f"{came}; expected KEY=VALUE; {hint}") from None
+            raise ConfigError(f"{message}; expected KEY=VALUE; {hint}") from None
 
 
 def quote_values(arguments: Sequence[str]) -> list[str]:
     """Quote values that Hydra cannot read and that can only be text, such as `bench.joint=.*_(hip|knee)`.
 
     Values that Hydra can read, such as sweeps and lists, keep their meaning. In a list, the elements are quoted. Values
-    that begin like a section, a quoted text, a reference or a function do not change, nor do possible sweeps (values
-    with commas outside brackets).
+    that begin like a section, a quoted text, a reference or a function stay, as do possible sweeps (values with commas
+    outside brackets).
     """
-    return [_quote(each) if _is_override(each) and not _is_readable(each) else each for each in arguments]
+    return [_quote(text) if _is_override(text) and not _is_readable(text) else text for text in arguments]
 
 
 def _quote(argument: str) -> str:

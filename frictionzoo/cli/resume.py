@@ -27,7 +27,7 @@ LOCAL_LOGGERS = ("csv", "tensorboard")  # only write files, and only into the ru
 
 
 class Begun(NamedTuple):
-    """The request for a run, as saved in its folder.
+    """Request for a run, as saved in its folder.
 
     Attributes:
         choices: File of each configuration group.
@@ -46,11 +46,7 @@ class Begun(NamedTuple):
         return cls(cast(Mapping[str, str], named), list(options), settings)
 
     def save(self, folder: Path) -> None:
-        """Write `SETTINGS` into a run's folder.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Write `SETTINGS` into a run's folder; OutputError if it cannot be written."""
         write_atomically(folder / SETTINGS, f"{json.dumps(to_json(self._asdict()), indent=2)}\n".encode())
 
     @classmethod
@@ -79,9 +75,9 @@ class Begun(NamedTuple):
         if not sections or not all(isinstance(text, str) and not _OF_HYDRA.match(text) for text in texts):
             raise ConfigError(f"{path}: expected choices, options and settings; name a run that this program made")
         for group, name in self.choices.items():
-            known = list_choices(group) if group in GROUPS else []
-            if name not in known:
-                raise ConfigError(f"{path}: {group}={name}: no such {group}; {closest(str(name), known)}")
+            valid_names = list_choices(group) if group in GROUPS else []
+            if name not in valid_names:
+                raise ConfigError(f"{path}: {group}={name}: no such {group}; {closest(str(name), valid_names)}")
 
 
 def restore_overrides(arguments: Sequence[str]) -> list[str]:
@@ -90,19 +86,19 @@ def restore_overrides(arguments: Sequence[str]) -> list[str]:
     Raises:
         ConfigError: There is no such run or sweep to resume, or its logger needs consent.
     """
-    named = last_value("resume", arguments)
-    if named in (None, "null"):
+    resume = last_value("resume", arguments)
+    if resume in (None, "null"):
         return [*arguments]
-    if not named:
+    if not resume:
         raise ConfigError("resume=: expected the folder of a run; name one, or leave it out")
-    if named.lower() == "true" or {"-m", "--multirun"} & set(arguments):
-        _refuse_no_sweep(named, arguments)
+    if resume.lower() == "true" or {"-m", "--multirun"} & set(arguments):
+        _refuse_no_sweep(resume, arguments)
         return [*arguments]
-    choices = Begun.read(Path(named)).choices
+    choices = Begun.read(Path(resume)).choices
     logger = choices.get("logger")
     if logger not in (None, *LOCAL_LOGGERS) and last_value("logger", arguments) is None:
-        why = f"it was recorded with logger={logger}, which starts a program or follows a database in that folder"
-        raise ConfigError(f"resume={named}: {why}, expected your consent; add logger={logger}, or logger=csv")
+        reason = f"it was recorded with logger={logger}, which starts a program or follows a database in that folder"
+        raise ConfigError(f"resume={resume}: {reason}, expected your consent; add logger={logger}, or logger=csv")
     return [*choices_of(choices), *arguments]
 
 
@@ -111,11 +107,7 @@ def restore_settings(
 ) -> tuple[DictConfig, list[str]]:
     """Return the settings and options of a stored run, with the changes of the new command.
 
-    Args:
-        folder: Folder of the resumed run.
-        config: Configuration from the run's choices and the new command.
-        plain: Configuration from the choices of groups alone.
-        options: Overrides of `config`.
+    `config` and its overrides `options` combine both; `plain` has only the choices of groups.
 
     Raises:
         ConfigError: The run's settings do not fit its configuration files, or refer to something outside them.
@@ -129,7 +121,6 @@ def restore_settings(
 
 
 def _refuse_no_sweep(resume: str, arguments: Sequence[str]) -> None:
-    """Refuse to resume a sweep that does not exist."""
     if resume.lower() != "true":
         expected = "expected true, as a run goes on without -m; name a sweep's folder in hydra.sweep.dir"
         raise ConfigError(f"resume={resume}: {expected}")
@@ -154,11 +145,7 @@ def record_job(config: DictConfig) -> dict[Path, bytes]:
 
 
 def write_record(record: Mapping[Path, bytes]) -> None:
-    """Write the record of a job into its folder.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Write the record of a job into its folder; OutputError if it cannot be written."""
     for path, content in record.items():
         write_atomically(path, content)
 
@@ -193,18 +180,18 @@ def nothing_of_a_refused_run(made: Sequence[Path]) -> Iterator[None]:
 
 
 def say_how_a_run_goes_on(folder: Path) -> str:
-    """Return what an unfinished run has saved in its folder, and how to resume it."""
+    """Return which parts of an unfinished run its folder has, and how to resume it."""
     try:
         Begun.read(folder)
     except ConfigError:  # it ended before it saved anything
         return NOTHING_KEPT
-    kept = "its options and automatic settings" if (folder / SETTLED).exists() else "its options"
-    kept = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else kept
-    return f"{folder} keeps {kept}; go on with resume={folder}"
+    saved = "its options and automatic settings" if (folder / SETTLED).exists() else "its options"
+    saved = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else saved
+    return f"{folder} keeps {saved}; go on with resume={folder}"
 
 
 def say_how_a_sweep_goes_on(folder: Path | None = None) -> str:
-    """Return what an unfinished sweep has saved, and how to resume it; `folder` is None before it has begun."""
+    """Return how many jobs an unfinished sweep has saved, and how to resume it; `folder` is None before it begins."""
     if folder is None or not _holds_jobs(folder):
         return NOTHING_KEPT
     done = len(list(folder.rglob(RESULT)))

@@ -44,7 +44,7 @@ def _job(config: DictConfig) -> float:
     hydra_config = HydraConfig.get()
     model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
     record, inside = record_job(config), {hydra_config.runtime.choices["logger"]} & LOGGERS
-    # A run's record does not depend on whether it was interrupted.
+    # An interrupted run has the same record.
     resumed, config.resume = config.resume, None
 
     def begin() -> tuple[Result, str | None]:
@@ -58,11 +58,11 @@ def _job(config: DictConfig) -> float:
         outlive_readers()
         with stoppable():
             return run_in_sweep(begin, folder, model, options, explain, finished, inside)
-    named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)
+    is_named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)
     # Errors end here, because Hydra adds a line to an error that passes through it.
     with (
         mistakes_in_one_line(lambda: say_how_a_run_goes_on(folder)),
-        nothing_of_a_refused_run([] if named else folders_made()),
+        nothing_of_a_refused_run([] if is_named else folders_made()),
         occupy(folder, wait=False, names=RUN_FILES, inside=inside),
         # A resumed run keeps its first record, because the new command may be a mistake.
         contextlib.nullcontext() if resumed else recorded(record),
@@ -90,7 +90,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
     model = choices["model"]
     tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
     build(settings["data"], Source).find()
-    # Imported here, so that --help and mistakes need not wait, and that torch and JAX see the thread limit.
+    # Imported late: --help and mistakes do not wait, and torch and JAX see the thread limit.
     from frictionzoo.bench.given import Given
 
     given = Given.read(settings)
@@ -116,14 +116,10 @@ def _quiet_writers() -> Iterator[None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `python -m frictionzoo.run`.
+    """Run `python -m frictionzoo.run`; `arguments` default to `sys.argv`.
 
-    A user's mistake gives one line on standard error and exit status 2; a sweep prints one line for each failed job
-    after the last one. A fit that did not identify the drive gives status 3. Ctrl-C gives one line and status 130,
-    SIGTERM status 143.
-
-    Args:
-        arguments: Arguments; None for those of the command line.
+    A user's mistake gives one line on standard error and status 2; a sweep prints one line for each failed job after
+    the last one. A fit that did not identify the drive gives status 3, Ctrl-C one line and status 130, SIGTERM 143.
     """
     register_resolvers()
     forget_plugin_schemas()

@@ -32,15 +32,12 @@ _SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment")  # al
 def distill(folder: Path, options: Mapping[str, str]) -> None:
     """Fit a model to a drive's rollouts under the training commands, and compare both on the test recordings.
 
-    The student's folder is a run folder, with a comparison in `comparison/`.
-
-    Args:
-        folder: Folder of the teacher's run.
-        options: `model`, a name; `output`, a folder; and fit options of a run, all as text.
+    The student's folder is a run folder, with a comparison in `comparison/`. The options are `model`, `output` (a
+    folder), and fit options of a run.
 
     Raises:
-        FrictionzooError: The run or its recordings cannot be read, an option is invalid, or the teacher diverges.
-            No files remain.
+        FrictionzooError: The run or its recordings cannot be read, an option is invalid, or the teacher diverges. No
+            files remain.
         SystemExit: The fit did not identify the drive.
     """
     teacher = Identified.load(folder)
@@ -60,11 +57,7 @@ def distill(folder: Path, options: Mapping[str, str]) -> None:
 
 
 def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConfig:
-    """Return the student's configuration: the teacher's with another model and fit.
-
-    Args:
-        teacher: The drive to follow.
-        options: `model`, and options of a run.
+    """Return the student's configuration: the teacher's with the `model` and other options of a run in `options`.
 
     Raises:
         ConfigError: An option is missing, unknown, invalid or shared with the teacher.
@@ -88,15 +81,15 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
 def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictConfig:
     """Return the teacher's settings with some sections replaced by files of conf/; others, such as `scale`, stay.
 
-    A simulated drive has neither noise nor outliers. Robust losses and short segments are not needed: segments are as
-    long as the evaluation rollouts, and hold no more states in total than the teacher's.
+    A simulated drive has neither noise nor outliers, so robust losses and short segments are not needed: segments are
+    as long as the evaluation rollouts, and hold no more states in total than the teacher's.
     """
     settings = keep_caches_at_home(teacher.result["settings"])
     composed = compose_config(*(f"{group}={name}" for group, name in choices.items()))
     sections = {group: OmegaConf.to_container(composed[group], resolve=False) for group in choices}
     count, length = (settings["segments"][key] for key in ("count", "length"))
     longer = max(length, round(settings["evaluation"]["horizons"][0] / teacher.segments.timestep))
-    own = {
+    replaced = {
         "loss": {
             **settings["loss"],
             "robust": "none",
@@ -109,8 +102,8 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         "resume": None,
     }
-    config = create_literal({**settings, **own})
-    for group in sections.keys() - own.keys():
+    config = create_literal({**settings, **replaced})
+    for group in sections.keys() - replaced.keys():
         OmegaConf.update(config, group, sections[group], merge=False)
     return config
 

@@ -24,7 +24,7 @@ from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock
 from frictionzoo.result.types import Result
 
 _log = logging.getLogger(__name__)
-# Hydra creates the callback itself, so it can pass data to this program only through context variables.
+# Hydra creates the callback, so data passes to this program only through context variables.
 _begun: ContextVar[list[Path]] = ContextVar("begun")
 _made: ContextVar[list[Path]] = ContextVar("made", default=[])  # noqa: B039 - never changed, only replaced
 _SWEEP_RECORD = "multirun.yaml"  # Hydra's
@@ -83,11 +83,11 @@ def run_in_sweep(
 ) -> float:
     """Run one job of a sweep, and write an error that it raises to `failure.json` in its folder, if possible.
 
-    If another process works in the folder, wait for its end.
+    If another process works in the folder, wait for its end. Then remove the results of an earlier job.
 
     Args:
         job: Returns the content of `result.json`, and a message if the fit diverged.
-        folder: The job's folder; results of an earlier job in it are removed.
+        folder: The job's folder.
         model: Name of the model.
         overrides: The job's options.
         explain: Returns one line for an error that a user can cause, None for an unexpected one.
@@ -113,7 +113,7 @@ def run_in_sweep(
             result, complaint = None, foreseen or describe(error)
             content = {"model": model, "overrides": list(overrides), "reason": complaint}
             _log.error("%s: %s", folder.name, complaint, exc_info=None if foreseen else error)
-            # On a full disk only the log reports it, because Hydra would print an error from here in extra lines.
+            # On a full disk only the log reports it: Hydra would print an error from here in extra lines.
             with contextlib.suppress(OutputError):
                 write_atomically(folder / FAILURE, f"{json.dumps(content, indent=2)}\n".encode())
         else:
@@ -135,20 +135,17 @@ def _read_finished(folder: Path, settings: Mapping[str, Any]) -> Result | None:
 def objective_of(result: Result) -> float:
     """Return the objective for a sweeper: the mean position error of open-loop training rollouts [rad or m].
 
-    Unlike the loss, it does not depend on segments and weights, so that jobs are comparable, and it does not use test
-    data. It is infinite if a rollout diverged, because the mean ignores diverged rollouts.
+    It uses no test data, and does not depend on segments and weights as the loss does, so jobs are comparable. It is
+    infinite if a rollout diverged, because the mean ignores diverged rollouts.
     """
     train = result["metrics"]["train"]
     return math.inf if train["diverged"] or train["position_mae"] is None else float(train["position_mae"])
 
 
 def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[str]]:
-    """Compare the jobs of a sweep from their files, wherever they ran.
+    """Compare the jobs of a sweep from their files, wherever they ran, and write the comparison to `comparison/`.
 
     Wait for jobs that still run, as some do after their launcher gave up on another one.
-
-    Args:
-        folder: The sweep's folder; the comparison is written to its `comparison/`.
 
     Returns:
         Content of `comparison.json`, or None if nothing can be compared; the text for the user; and one line for each
@@ -160,7 +157,7 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
     for path in filter(is_lock, folder.rglob(RUNNING)):
         with FileLock(path):
             pass
-    # Imported here, so that neither --help nor a mistake waits for it.
+    # Imported late: neither --help nor a mistake waits for it.
     from frictionzoo.api.comparison_files import write_comparison
     from frictionzoo.report.terminal import summarise_comparison
 
@@ -184,6 +181,6 @@ def _complaint(folder: Path) -> str | None:
 
 
 def describe(error: Exception) -> str:
-    """Return one line for an unexpected error: its type and the first line of its message."""
+    """Return an error's type and the first line of its message."""
     lines = str(error).strip().splitlines()
     return ": ".join([type(error).__name__, *lines[:1]])

@@ -26,14 +26,10 @@ _FILES = {
 
 
 def list_paths(settings: Any, key: str = "") -> Iterator[str]:
-    """Yield the option values that are absolute paths.
+    """Yield the absolute paths among nested options, which the option `key` holds.
 
-    The option decides, not the look of a text: joints, bodies and columns may be called `/leg/knee`. The value of an
-    option unknown here, such as one of another package's data source, is a path if such a file exists.
-
-    Args:
-        settings: Mappings and lists of options.
-        key: Key of the option that holds `settings`.
+    The option decides, since joints, bodies and columns may be called `/leg/knee`. For an unknown option, such as one
+    of another package's data source, a value is a path if such a file exists.
     """
     if isinstance(settings, Mapping):
         for name, part in settings.items():
@@ -46,11 +42,11 @@ def list_paths(settings: Any, key: str = "") -> Iterator[str]:
 
 
 def list_paths_of(result: Mapping[str, Any], command: str | None = None) -> set[str]:
-    """Return the paths of a run, from its `result.json` and the command that made it."""
+    """Return the paths of a run, from its `result.json` and its command."""
     recordings = [log["name"] for log in result["data"]["logs"]]
     commands = [command, *(row["command"] for row in result["verdict"]["commands"])]
-    found = [*list_paths(result["settings"]), *list_paths(recordings, "train")]
-    return {*found, *(path for each in commands for path in list_paths_in(each))}
+    paths = [*list_paths(result["settings"]), *list_paths(recordings, "train")]
+    return {*paths, *(path for text in commands for path in list_paths_in(text))}
 
 
 def list_paths_in(command: str | None) -> Iterator[str]:
@@ -61,27 +57,21 @@ def list_paths_in(command: str | None) -> Iterator[str]:
 
 
 def without_paths(value: Any, paths: Collection[str], names: Collection[str] = (), below: Path | None = None) -> Any:
-    """Return the same mappings, lists and text with each path of this machine shortened to its last part.
+    """Return a JSON value with each path of this machine shortened to its last part.
 
-    These are the given paths, everything in their folders, and everything in the user's home folder or the current
-    folder. Other text stays, even if it looks like a path.
-
-    Args:
-        value: A JSON value.
-        paths: Files and folders of this machine, as `list_paths` yields them.
-        names: Names of joints, which stay even if one of them is such a path.
-        below: A folder; paths inside it become relative to it.
+    These are `paths` and everything in their folders, in the user's home folder and in the current folder. Paths in the
+    folder `below` become relative to it. Other text stays, even if it looks like a path; so do `names` of joints.
     """
-    whole = {path for path in paths if _as_path(path).name}
-    folders = {str(_folder_of(path)) for path in whole} | {str(Path.home()), str(Path.cwd())}
+    files = {path for path in paths if _as_path(path).name}
+    folders = {str(_folder_of(path)) for path in files} | {str(Path.home()), str(Path.cwd())}
     patterns = {name: re.escape(name) for name in names if "/" in name or "\\" in name}
-    patterns |= {path: rf"(?<![\w.~]){re.escape(path)}(?![\w-])" for path in whole - patterns.keys()}
+    patterns |= {path: rf"(?<![\w.~]){re.escape(path)}(?![\w-])" for path in files - patterns.keys()}
     for folder in folders - patterns.keys():
         if _as_path(folder).name:  # "/" is in every path
             patterns[folder] = rf"(?<![\w.~]){re.escape(folder)}(?![\w-])(?:[\\/]{_PART}+)*"
     longest_first = [patterns[path] for path in sorted(patterns, key=len, reverse=True)]
-    found = re.compile("|".join(longest_first) or "(?!)")
-    return _replace(value, lambda text: found.sub(lambda m: m[0] if m[0] in names else _shorten(m[0], below), text))
+    pattern = re.compile("|".join(longest_first) or "(?!)")
+    return _replace(value, lambda text: pattern.sub(lambda m: m[0] if m[0] in names else _shorten(m[0], below), text))
 
 
 def _replace(value: Any, shorten: Callable[[str], str]) -> Any:
@@ -115,7 +105,7 @@ def _exists(path: str) -> bool:
 
 
 def find_paths(content: bytes) -> list[str]:
-    """Return the absolute paths in attributes, text and comments of an XML file, each once, without element names.
+    """Return the distinct absolute paths in attributes, text and comments of an XML file, without element names.
 
     Raises:
         expat.ExpatError: The content is not XML.
@@ -128,8 +118,8 @@ def find_paths(content: bytes) -> list[str]:
 
     parser.StartElementHandler, parser.CommentHandler, parser.CharacterDataHandler = begin, texts.append, texts.append
     parser.Parse(content, True)
-    found = (match[0] for text in texts if text not in names for match in _PATH.finditer(text))
-    return [path for path in dict.fromkeys(found) if path not in names]
+    paths = (match[0] for text in texts if text not in names for match in _PATH.finditer(text))
+    return [path for path in dict.fromkeys(paths) if path not in names]
 
 
 def last_of(path: str) -> str:

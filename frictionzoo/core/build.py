@@ -17,15 +17,10 @@ _PARTS = (
 
 
 def build(section: Any, base: type = object, /, **more: Any) -> Any:
-    """Construct the class in a section's `_target_` with the section's other keys as arguments.
+    """Construct the class in a section's `_target_` with the section's other keys and `more` as arguments.
 
-    Nested sections with a `_target_` are built first. The target is the class of a registered plug-in or one of the few
-    classes in `_PARTS`. No other module is imported, so a foreign section runs no code.
-
-    Args:
-        section: `_target_` and constructor arguments.
-        base: Class from which the target must derive.
-        more: Arguments that are not in the configuration.
+    Nested sections with a `_target_` are built first. The target derives from `base`, and is a registered plug-in or in
+    `_PARTS`. No other module is imported, so a foreign section runs no code.
 
     Raises:
         ConfigError: There is no section, its target is not such a class, or the class does not take the arguments.
@@ -33,8 +28,8 @@ def build(section: Any, base: type = object, /, **more: Any) -> Any:
     if not isinstance(section, Mapping) or "_target_" not in section:
         raise ConfigError(f"{section!r:.80}: expected a section with _target_; compare it with conf/")
     target = section["_target_"]
-    found = _find(target)
-    if not issubclass(found, base):
+    cls = _find(target)
+    if not issubclass(cls, base):
         raise ConfigError(f"_target_={target}; expected a class derived from {base.__name__}; compare it with conf/")
     arguments = {
         name: build(value) if isinstance(value, Mapping) and "_target_" in value else value
@@ -42,7 +37,7 @@ def build(section: Any, base: type = object, /, **more: Any) -> Any:
         if name != "_target_"
     }
     try:
-        return found(**arguments, **more)
+        return cls(**arguments, **more)
     except TypeError as error:
         raise ConfigError(f"{target}: {' '.join(str(error).split())}; compare the section with conf/") from error
 
@@ -50,8 +45,8 @@ def build(section: Any, base: type = object, /, **more: Any) -> Any:
 def _find(target: Any) -> type:
     if target in _PARTS:
         return import_class(target)
-    if isinstance(target, str) and (found := find_plugin(target)):
-        return found
+    if isinstance(target, str) and (cls := find_plugin(target)):
+        return cls
     packages = " or ".join(sorted(plug_in_packages()))
     raise ConfigError(
         f"_target_={target}; expected a class of {packages} that is registered; python -m frictionzoo.list lists them"

@@ -1,4 +1,4 @@
-"""Configuration: its location, its resolvers, and the overrides that it accepts."""
+"""Configuration: its location, resolvers and valid overrides."""
 
 import contextlib
 import copy
@@ -26,7 +26,7 @@ from frictionzoo.core.threads import count_cores, jobs_at_once, threads_each
 _PACKAGE = Path(__file__).parents[1]
 # A wheel ships conf/ inside the package; in a checkout it lies next to the package.
 CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
-# Options that take more than their value in conf/ shows: an example of each kind, None for null.
+# Options that accept other kinds of values than in conf/: an example of each kind, None for null.
 _TAKES: dict[str, tuple[Any, ...]] = {
     "resume": ("", True, None),
     "threads": (0, None),
@@ -71,7 +71,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.clean.velocity_lag": (0.1, "", None),
     "data.clean.command_lag": (0.1, None),
 }
-_OWN_CACHE = "user"  # the operating system's cache folder of this user
+_OWN_CACHE = "user"  # the user's cache folder of the operating system
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # JAX counts in 32 bits, generators take 64-bit seeds
 _KINDS = {
     bool: "true or false",
@@ -110,10 +110,7 @@ def register_resolvers() -> None:
 
 
 def forget_plugin_schemas() -> None:
-    """Remove schemas of Hydra plug-ins that have the name of a file in `conf/hydra/`.
-
-    Hydra would merge the two, with a deprecation warning, or fail.
-    """
+    """Remove schemas of Hydra plug-ins named like a file in `conf/hydra/`: merging them would warn or fail."""
     Plugins.instance()  # imports the plugins, which store their schemas
     store = ConfigStore.instance()
     for path in (CONF_DIR / "hydra").glob("*/*.yaml"):
@@ -121,7 +118,7 @@ def forget_plugin_schemas() -> None:
 
 
 def compose_config(*overrides: str) -> DictConfig:
-    """Return the configuration of a job with these overrides, `key=value`, as on the command line."""
+    """Compose the configuration of a job from overrides, `key=value`, as on the command line."""
     register_resolvers()
     forget_plugin_schemas()
     with _hydra():
@@ -129,41 +126,34 @@ def compose_config(*overrides: str) -> DictConfig:
 
 
 def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
-    """Return the resolved configuration with these choices, `group=name`, and options, after checking both.
+    """Compose, check and resolve the configuration with these choices, `group=name`, and options by section.
 
-    Args:
-        given: Options by section; objects become the sections that make them.
-        choices: Choices of files in configuration groups.
+    Objects among the options become the sections that make them.
 
     Raises:
         ConfigError: An option does not exist or cannot have this value.
     """
     plain = compose_config(*choices)
-    changed = copy.deepcopy(plain)
-    OmegaConf.set_struct(changed, False)
-    changed = cast(DictConfig, OmegaConf.merge(changed, describe(given)))
-    check_overrides(changed, plain)
-    return cast(dict[str, Any], OmegaConf.to_container(changed, resolve=True))
+    config = copy.deepcopy(plain)
+    OmegaConf.set_struct(config, False)
+    config = cast(DictConfig, OmegaConf.merge(config, describe(given)))
+    check_overrides(config, plain)
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 
 
 def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig) -> DictConfig:
     """Return a run's saved settings with the changes of the current command.
 
-    The logger is the current command's. Caches stay in the user's own folder even if the saved settings name another
-    one: compiled functions read from a cache are executed.
-
-    Args:
-        saved: All options, resolved, perhaps from someone else.
-        before: The configuration with the run's choices of files.
-        after: The same with the command's options.
+    `before` has the run's choices of files, `after` the command's options too. The logger is the command's. Caches stay
+    in the user's folder: compiled functions from a cache are executed, and the saved settings may come from a stranger.
     """
-    plain, changed = (json.loads(json.dumps(OmegaConf.to_container(each, resolve=True))) for each in (before, after))
+    plain, changed = (json.loads(json.dumps(OmegaConf.to_container(part, resolve=True))) for part in (before, after))
     merged = _carry_over(keep_caches_at_home(saved), plain, changed)
     return create_literal({**merged, "logger": changed["logger"], "resume": changed["resume"]})
 
 
 def create_literal(settings: Mapping[str, Any]) -> DictConfig:
-    """Return resolved settings, perhaps from someone else, as a configuration in which `${...}` refers to nothing.
+    """Return resolved settings, perhaps a stranger's, as a configuration in which `${...}` refers to nothing.
 
     Raises:
         ConfigError: A setting is `???`, which stands for a missing value.
@@ -184,14 +174,14 @@ def _escape(settings: Any) -> Any:
 
 
 def keep_caches_at_home(saved: Mapping[str, Any]) -> dict[str, Any]:
-    """Return saved settings with any cache in another folder moved to the user's own."""
-    kept = dict(saved)
-    if kept.get("compilation_cache") not in (None, _OWN_CACHE):
-        kept["compilation_cache"] = _OWN_CACHE
-    data = kept.get("data")
+    """Return saved settings with caches in other folders moved to the user's."""
+    settings = dict(saved)
+    if settings.get("compilation_cache") not in (None, _OWN_CACHE):
+        settings["compilation_cache"] = _OWN_CACHE
+    data = settings.get("data")
     if isinstance(data, Mapping) and data.get("cache_dir") not in (None, _OWN_CACHE):
-        kept["data"] = {**data, "cache_dir": _OWN_CACHE}
-    return kept
+        settings["data"] = {**data, "cache_dir": _OWN_CACHE}
+    return settings
 
 
 def _carry_over(saved: Any, before: Any, after: Any) -> Any:
@@ -213,14 +203,14 @@ def read_value(option: str) -> DictConfig:
 
 
 def list_choices(group: str) -> list[str]:
-    """Return the sorted names of a configuration group's files, including those of other packages."""
+    """List the files of a configuration group by name, including those of other packages."""
     with _hydra():
         return GlobalHydra.instance().config_loader().get_group_options(group)
 
 
 @contextlib.contextmanager
 def _hydra() -> Iterator[None]:
-    """Use Hydra as the running program started it, else start it here."""
+    """Use Hydra as the running program started it, else start it."""
     if GlobalHydra.instance().is_initialized():
         yield
     else:
@@ -231,12 +221,8 @@ def _hydra() -> Iterator[None]:
 def check_overrides(config: DictConfig, plain: DictConfig) -> None:
     """Refuse options that do not exist, are missing, or have a value of the wrong kind.
 
-    Args:
-        config: The composed configuration.
-        plain: The same with only the choices of groups.
-
     Raises:
-        ConfigError: A key or a value differs in kind from `plain`.
+        ConfigError: A key or a value differs in kind from `plain`, which has only the choices of groups.
     """
     # Unresolved values first: a value that refers to a mistaken one fails to resolve, under the wrong name.
     for resolve in (False, True):
@@ -248,9 +234,9 @@ def check_overrides(config: DictConfig, plain: DictConfig) -> None:
 
 def _check_keys(before: Mapping[str, Any], after: Mapping[str, Any], plain: DictConfig) -> None:
     for key in [key for key in after if key not in before]:
-        inside = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
-        if inside:
-            raise ConfigError(f"{key}={_text(after[key])}; expected a section with {', '.join(inside)}")
+        options = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
+        if options:
+            raise ConfigError(f"{key}={_text(after[key])}; expected a section with {', '.join(options)}")
         if not _is_open(key):
             raise ConfigError(f"{key}: unknown option; {suggest_option(key, plain)}")
     for key in [key for key in before if key not in after and not _is_open(key)]:
@@ -262,36 +248,35 @@ def _is_open(key: str) -> bool:
 
 
 def _check_value(key: str, value: Any, default: Any) -> None:
-    """Refuse a value of the wrong kind, or with a number that is not finite or too large: ConfigError."""
     if any(isinstance(text, str) and "${" in text for text in (value, default)) or value == default == AUTO:
         return
     _refuse_open(key, value, default)
-    examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
+    examples = next((kinds_taken for name, kinds_taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
     if default is None or key.endswith(".torque_limit.init"):  # a robot's file may state it
         examples = (*examples, None) if None not in examples else examples
     if examples == (None,):  # the code that takes the value checks its kind
         return _check_numbers(key, value, _LARGEST_SEED)
-    such = "" if default in (None, "") else f" such as {default}"
-    kinds = {type(example): such if _is_like(default, example) else "" for example in examples if example is not None}
-    expected = " or ".join(f"{_KINDS[kind]}{such}" for kind, such in kinds.items())
+    hint = "" if default in (None, "") else f" such as {default}"
+    kinds = {type(example): hint if _is_like(default, example) else "" for example in examples if example is not None}
+    expected = " or ".join(f"{_KINDS[kind]}{hint}" for kind, hint in kinds.items())
     if None in examples:
         expected += ", or null"
     if seed := key.rpartition(".")[2] == "seed":
         expected = "a whole number from 0 on, so that the run can be repeated"
-    fitting = [example for example in examples if _is_like(value, example)]
-    if not fitting or (seed and value < 0):
+    matching = [example for example in examples if _is_like(value, example)]
+    if not matching or (seed and value < 0):
         raise ConfigError(f"{key}={_text(value)}; expected {expected}")
-    counts = isinstance(fitting[0], int) and not seed
-    _check_numbers(key, value, _LARGEST if counts else _LARGEST_SEED)
+    is_count = isinstance(matching[0], int) and not seed
+    _check_numbers(key, value, _LARGEST if is_count else _LARGEST_SEED)
     if key.startswith("scale.") and not value > 0:
-        raise ConfigError(f"{key}={_text(value)}; expected a number above 0{such}")
+        raise ConfigError(f"{key}={_text(value)}; expected a number above 0{hint}")
 
 
 def _refuse_open(key: str, value: Any, default: Any) -> None:
-    """Refuse `auto` without a recipe: ConfigError."""
+    """Refuse `auto` without a recipe."""
     if value == AUTO and key in _list_left_open():
-        such = "" if default is None else f" such as {default}"
-        raise ConfigError(f"{key}={AUTO}: recipe=given leaves nothing open, expected a value{such}; or add recipe=auto")
+        hint = "" if default is None else f" such as {default}"
+        raise ConfigError(f"{key}={AUTO}: recipe=given leaves nothing open, expected a value{hint}; or add recipe=auto")
 
 
 @functools.cache
@@ -302,7 +287,7 @@ def _list_left_open() -> frozenset[str]:
 
 
 def _check_numbers(key: str, value: Any, largest: int) -> None:
-    """Refuse NaN, infinities, and whole numbers that are too large: ConfigError."""
+    """Refuse NaN, infinities, and whole numbers that are too large."""
     for number in _numbers(value):
         if isinstance(number, int) and abs(number) > largest:
             raise ConfigError(f"{key}={_text(value)}; expected whole numbers of at most {largest}")
@@ -315,14 +300,13 @@ def _is_like(value: Any, example: Any) -> bool:
     if isinstance(example, bool) or isinstance(value, bool):
         return isinstance(value, bool) and isinstance(example, bool)
     if isinstance(example, list):
-        return isinstance(value, list) and all(_is_like(item, first) for first in example[:1] for item in value)
+        return isinstance(value, list) and all(_is_like(item, sample) for sample in example[:1] for item in value)
     if isinstance(example, float):
         return isinstance(value, int | float)
     return isinstance(value, type(example)) and value != ""
 
 
 def _numbers(value: Any) -> Iterator[int | float]:
-    """Yield the numbers in a value, including those in nested lists and sections."""
     if isinstance(value, list | dict):
         for item in value.values() if isinstance(value, dict) else value:
             yield from _numbers(item)
@@ -345,11 +329,11 @@ def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 def suggest_option(key: str, config: DictConfig) -> str:
     """Return a hint for an unknown dotted key: the closest name where the key leaves the configuration."""
-    section, known = config, ""
+    section, path = config, ""
     for name in key.split("."):
         inner = section.get(name) if name in section else None
         if not isinstance(inner, DictConfig):
             options = [str(option) for option in section if option != "_target_"]  # the class is not an option
-            return f"{closest(name, options)}{f' in {known}' if known else ''}"
-        section, known = inner, f"{known}.{name}".lstrip(".")
+            return f"{closest(name, options)}{f' in {path}' if path else ''}"
+        section, path = inner, f"{path}.{name}".lstrip(".")
     return closest(key, map(str, config))

@@ -19,12 +19,12 @@ class Described:
     """Base class whose objects remember their constructor arguments."""
 
     def __new__(cls: type[T], *args: Any, **kwargs: Any) -> T:
-        """Keep the arguments of a new object; TypeError if its class takes none, which Python would not raise."""
+        """Keep the arguments; TypeError if the class takes none, which Python would not raise."""
         if (args or kwargs) and cls.__init__ is object.__init__:
             raise TypeError(f"{cls.__name__} takes no arguments")
-        made = object.__new__(cls)
-        object.__setattr__(made, "_given", (args, kwargs))  # a dataclass may be frozen
-        return made
+        instance = object.__new__(cls)
+        object.__setattr__(instance, "_given", (args, kwargs))  # a dataclass may be frozen
+        return instance
 
 
 def describe(part: Any) -> Any:
@@ -51,15 +51,14 @@ def describe(part: Any) -> Any:
 
 
 def remake(part: D, **changed: Any) -> D:
-    """Return a copy of the object with some constructor arguments changed, by name."""
+    """Return a copy of the object with some constructor arguments changed."""
     args, kwargs = getattr(part, "_given")  # noqa: B009 - set in __new__
     names = [name for name in inspect.signature(type(part).__init__).parameters][1:]
     return type(part)(**{**dict(zip(names, args, strict=False)), **kwargs, **changed})
 
 
 def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all arguments of a constructor by name, with defaults for arguments not given."""
-    signature = inspect.signature(cls.__init__)  # the signature of the class would be that of `Described.__new__`
+    signature = inspect.signature(cls.__init__)  # the class has the signature of `Described.__new__`
     bound = signature.bind(None, *args, **kwargs)
     bound.apply_defaults()
     named: dict[str, Any] = {}
@@ -72,7 +71,7 @@ def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> d
 
 
 def _public_name(cls: type) -> str:
-    """Return the dotted name of a class in the package that exports it, as in conf/, which outlasts its module."""
+    """Return a class's dotted name in the package that exports it, as in conf/: it outlasts the module's."""
     parts = cls.__module__.split(".")
     for count in range(2, len(parts)):
         package = ".".join(parts[:count])

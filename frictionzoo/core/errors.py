@@ -10,7 +10,6 @@ class FrictionzooError(Exception):
     """Base of every error caused by the input; the command line prints its message without a traceback."""
 
     def __str__(self) -> str:
-        """Return one line, with control characters in names escaped."""
         return escape_controls(super().__str__())
 
 
@@ -69,13 +68,7 @@ def refuse_outside(option: str, value: int | float, low: int | float, high: int 
 
 
 def refuse_unlike(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
-    """Refuse a value of the wrong type.
-
-    Args:
-        name: Name of the argument.
-        value: Value received.
-        kind: Type or types expected.
-        expected: The expectation in words, and what to do.
+    """Refuse a value of the wrong type; `expected` says which value is right, and what to do.
 
     Raises:
         ConfigError: The value has another type.
@@ -87,6 +80,6 @@ def refuse_unlike(name: str, value: object, kind: type | tuple[type, ...], expec
 def closest(name: str, options: Iterable[str]) -> str:
     """Return a hint for an unknown name: the closest of the valid options, then all of them."""
     options = sorted(options)
-    near = difflib.get_close_matches(name, options, n=1, cutoff=0.6)
+    matches = difflib.get_close_matches(name, options, n=1, cutoff=0.6)
     listed = f"expected one of {', '.join(options)}" if options else "none is available"
-    return f"did you mean {near[0]}? ({listed})" if near else listed
+    return f"did you mean {matches[0]}? ({listed})" if matches else listed

@@ -11,18 +11,12 @@ import yaml
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
 
-_DEEPEST = 60  # levels of nested sections; this program's files have a dozen
+_DEEPEST = 60  # levels of nesting; this program's files have a dozen
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Job of a sweep that has no result.
-
-    Attributes:
-        run: Name of its folder.
-        model: The model, or empty if not known.
-        reason: One line.
-    """
+    """Job of a sweep without a result: name of its folder, model (empty if unknown) and reason in one line."""
 
     run: str
     model: str
@@ -34,11 +28,11 @@ def find_runs(folder: Path) -> list[Path]:
     names = (RESULT, FAILURE, RUNNING, ".hydra")
     if any((folder / name).exists() for name in names):
         return [folder]
-    found = {path.parent for name in names for path in folder.rglob(name)}
-    if not found:
+    folders = {path.parent for name in names for path in folder.rglob(name)}
+    if not folders:
         raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
     # By the numbers in the names: 2_coulomb before 10_neural.
-    return sorted(found, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", str(path))])
+    return sorted(folders, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", str(path))])
 
 
 def read_failure(folder: Path) -> Failure | None:
@@ -53,7 +47,7 @@ def read_failure(folder: Path) -> Failure | None:
 
 
 def refuse_unfinished(folder: Path) -> None:
-    """Refuse a folder without a finished run: RunError. It is quick, so that a mistake costs no slow import."""
+    """Refuse a folder without a finished run, before slow imports: RunError."""
     if not (folder / RESULT).exists():
         raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
 
@@ -75,19 +69,17 @@ def read_begun(folder: Path, file: str, *keys: str) -> Any:
 
 
 def refuse_links(folder: Path, *, files: bool) -> None:
-    """Refuse links that lead out of a run's folder: writing through them would overwrite other files.
+    """Refuse links that lead out of a folder of runs: writing through them would overwrite other files.
 
-    Args:
-        folder: Folder of one or several runs.
-        files: Whether links to files count too. Links to folders always count; files are replaced, not written through.
+    Links to files count only if `files` is true: files are replaced, not written through.
 
     Raises:
         RunError: There is such a link.
     """
     home = folder.resolve()
     for path in folder.rglob("*"):
-        of_wandb = path.relative_to(folder).parts[0] == "wandb"  # the manifest judges wandb's links to its logs
-        counts = path.is_dir() or (files and not of_wandb)
+        in_wandb = path.relative_to(folder).parts[0] == "wandb"  # the manifest judges wandb's links to its logs
+        counts = path.is_dir() or (files and not in_wandb)
         if path.is_symlink() and counts and not path.resolve().is_relative_to(home):
             raise RunError(f"{path}: a link out of {folder}, expected files of the run; remove it, or copy its target")
 
@@ -115,10 +107,10 @@ def _refuse_constant(name: str) -> None:
 
 
 def _refuse_deep(path: Path, content: Any) -> None:
-    """Refuse content nested too deeply for recursive functions: RunError."""
+    """Refuse content nested too deeply for recursive functions."""
     level = [content]
     for _ in range(_DEEPEST):
-        level = [part for each in level if isinstance(each, dict | list) for part in _list_parts(each)]
+        level = [part for section in level if isinstance(section, dict | list) for part in _list_parts(section)]
         if not level:
             return
     raise RunError(

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.state import Signals
 
-ABSURD = 1e9  # largest plausible value of any signal in SI units, far above a drive's
+ABSURD = 1e9  # any signal above this in SI units is implausible
 JITTER = 0.05  # largest deviation of a uniform sample interval from the median, as a share of the median
 
 Origin = Literal["hardware", "simulated"]
@@ -27,10 +27,8 @@ def pool_origins(simulated: Iterable[bool | None]) -> Origin | None:
 class Payload(NamedTuple):
     """Payload of a drive in one recording, on top of the bench's bodies.
 
-    Attributes:
-        mass: Mass [kg].
-        position: Centre of mass in the frame of the carrying body [m].
-        inertia: Inertia about that centre, for the frame's axes [kg m^2].
+    Mass [kg], centre of mass [m] in the frame of the carrying body, and inertia [kg m^2] about it, for the frame's
+    axes.
     """
 
     mass: float
@@ -63,20 +61,18 @@ class Log:
         qvel: Joint velocity [rad/s or m/s], measured or estimated.
         ctrl: Command, one column an actuator, in the actuator law's unit.
         sha256: Hash of the file or the generated data.
-        simulated: Whether a simulator made it; False: recorded on hardware; None: not stated.
-        payload: Payload of the drive; None for none.
-        load: Effect of the payload on the bench's MuJoCo model, of shape (load,), from `Bench.accept`.
-        extras: Other recorded signals by name: supply [V], enable (0 or 1), temperature [degC], each of shape
-            (time, columns).
+        simulated: Whether a simulator made it; None: not stated.
+        payload: Payload of the drive.
+        load: Effect of the payload on the bench's MuJoCo model, from `Bench.accept`.
+        extras: Other recorded signals by name: supply [V], enable (0 or 1), temperature [degC].
         inputs: Further signals for the actuator law, by name, from `Bench.accept`.
         observed: Signals for the friction model, by name, from `Bench.accept`.
         velocity_estimated: Whether qvel of every joint was computed from qpos and adds no information.
         without_velocity: Joints, by number, whose qvel was computed from qpos.
         repairs: Changes made by cleaning, a sentence each.
         metadata: Other facts from the source (gains, notes).
-        units: Stated unit of signals by name, before conversion to SI; signals without a stated unit are missing.
-        columns: Origin of the columns by signal; empty for a log that did not come from a table. `Bench.accept` sorts
-            them by joint.
+        units: Stated unit of signals by name, before conversion to SI; others are missing.
+        columns: Origin of the columns by signal; empty without a table. `Bench.accept` sorts them by joint.
 
     Raises:
         LogError: Shapes disagree, a sample is not finite or implausibly large, or time is not uniform.
@@ -134,26 +130,26 @@ class Log:
     def _refuse_absurd(self, signal: str) -> None:
         size = np.abs(getattr(self, signal)).reshape(self.samples, -1).max(axis=1)
         if (size > ABSURD).any():
-            at = int(np.argmax(size))
+            i = int(np.argmax(size))
             raise LogError(
-                f"{self.name}: {signal} is {size[at]:.3g} at sample {at}, expected at most {ABSURD:g} of any unit; "
+                f"{self.name}: {signal} is {size[i]:.3g} at sample {i}, expected at most {ABSURD:g} of any unit; "
                 "cut or repair the log"
             )
 
     def _refuse_uneven_time(self) -> None:
         steps = np.diff(self.time)
         if (steps <= 0).any():
-            at = int(np.argmax(steps <= 0))
-            what = "repeats" if steps[at] == 0 else "runs backwards"
+            i = int(np.argmax(steps <= 0))
+            fault = "repeats" if steps[i] == 0 else "runs backwards"
             raise LogError(
-                f"{self.name}: time {what} at sample {at + 1} ({self.time[at]:.6g} s, then {self.time[at + 1]:.6g} s); "
+                f"{self.name}: time {fault} at sample {i + 1} ({self.time[i]:.6g} s, then {self.time[i + 1]:.6g} s); "
                 "expected increasing times; sort the log or drop the samples"
             )
         uneven = np.abs(steps - np.median(steps)) > JITTER * np.median(steps)
         if uneven.any():
-            at = int(np.argmax(uneven))
+            i = int(np.argmax(uneven))
             raise LogError(
-                f"{self.name}: {steps[at]:.6g} s between samples {at} and {at + 1}, expected {np.median(steps):.6g} s "
+                f"{self.name}: {steps[i]:.6g} s between samples {i} and {i + 1}, expected {np.median(steps):.6g} s "
                 f"everywhere; resample the log to a constant step"
             )
 
@@ -191,13 +187,7 @@ class Log:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings to fit on and other recordings to evaluate on.
-
-    Attributes:
-        name: The data set's name.
-        train: Logs for the fit.
-        test: Logs for the evaluation only.
-    """
+    """Recordings to fit on (`train`) and other recordings to evaluate on (`test`)."""
 
     name: str
     train: tuple[Log, ...]

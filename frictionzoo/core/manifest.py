@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from frictionzoo.core.errors import OutputError
 
 MANIFEST = ".frictionzoo.jsonl"
-ABANDONED = 3600.0  # age of a temporary file from which it counts as abandoned [s]
+ABANDONED = 3600.0  # minimal age of an abandoned temporary file [s]
 _BLOCK = 1 << 20  # bytes read at a time
 _TOKEN = re.compile(r"[0-9a-f]{16}")
 _PART = r"\.[^/]+\.TOKEN\.part"
@@ -29,7 +29,7 @@ _UNFINISHED = (
     r"wandb/offline-run-[\d_]+-TOKEN/(run-TOKEN\.wandb(\.synced)?|logs/debug[\w-]*\.log|tmp/.*)",
     r"wandb/offline-run-[\d_]+-TOKEN/files/(media/.*|requirements\.txt|config\.yaml|output\.log|wandb-[^/]*)",
 )
-"""Names that other programs choose for files that they keep writing; `TOKEN` stands for a token in the manifest."""
+"""Files that other programs name and keep writing; `TOKEN` stands for a token in the manifest."""
 _LINKS = (
     r"wandb/(latest-run|debug[\w-]*\.log) -> (.*/)?offline-run-[\d_]+-TOKEN(/.*)?",
     r"wandb/offline-run-[\d_]+-TOKEN/logs/debug[\w-]*\.log -> .*",
@@ -37,12 +37,9 @@ _LINKS = (
 
 
 class State(NamedTuple):
-    """Content that this program gave a file.
+    """Content that this program gave a file: size in bytes and hash.
 
-    Attributes:
-        size: Size in bytes.
-        sha256: Hash of the content.
-        since: Size before an append, which a killed process may have left incomplete; equal to `size` for a whole file.
+    `since` is the size before an append, which a killed process may leave incomplete; else it equals `size`.
     """
 
     size: int
@@ -56,11 +53,9 @@ class State(NamedTuple):
 
 
 class Manifest:
-    """Manifest of one folder for one kind of command; files of another kind are foreign to it.
+    """Manifest of one folder for one kind of command, such as `run` or `export`; files of another kind are foreign.
 
-    Args:
-        root: The folder; it need not exist.
-        kind: `run`, `card`, `export`, `comparison` and so on.
+    The folder need not exist.
 
     Raises:
         OutputError: The folder has a file with the manifest's name that is not a manifest.
@@ -77,7 +72,7 @@ class Manifest:
         """Refuse to write under these names if a file there is not this program's or has changed.
 
         Raises:
-            OutputError: There is such a file; the message names the first.
+            OutputError: The message names the first such file.
         """
         for name in names:
             if self._in_the_way(name) is None:
@@ -101,8 +96,7 @@ class Manifest:
         """Write a file whole or not at all; an older one of this program's is replaced.
 
         Raises:
-            OutputError: A foreign file is in the way, the disk is full or the folder cannot be written. No new file
-                stays.
+            OutputError: A foreign file is in the way, or the folder cannot be written or is full. No new file stays.
         """
         self.refuse([name])
         path, temporary = self.root / name, self.root / f".{Path(name).name}.{self.token}.part"
@@ -139,10 +133,10 @@ class Manifest:
             size = path.stat().st_size
             self._hashes[name].update(content)
             self.record({name: State(size + len(content), self._hashes[name].hexdigest(), size)})
-            total = self._hashes.pop(name)
+            digest = self._hashes.pop(name)
             with open(path, "ab") as file:
                 file.write(content)
-            self._unchanged[name], self._hashes[name] = _fingerprint(os.lstat(path)), total
+            self._unchanged[name], self._hashes[name] = _fingerprint(os.lstat(path)), digest
 
     def remove(self, name: str) -> None:
         """Remove a file that this program wrote, if it exists; OutputError for any other file of that name."""
@@ -204,9 +198,9 @@ class Manifest:
         """Remove unfinished files that killed processes of this program left at least `age` seconds ago."""
         with contextlib.suppress(OSError):
             for path in self.root.glob(".*.part"):
-                made = os.lstat(path)
-                ours = stat.S_ISREG(made.st_mode) and _matches((_PART,), path.name, self._tokens)
-                if ours and time.time() - made.st_mtime >= age:
+                status = os.lstat(path)
+                is_ours = stat.S_ISREG(status.st_mode) and _matches((_PART,), path.name, self._tokens)
+                if is_ours and time.time() - status.st_mtime >= age:
                     path.unlink()
 
     def list_files(self) -> set[str]:
@@ -222,20 +216,20 @@ class Manifest:
         return path if os.path.lexists(path) and not self._is_ours(name, path) else None
 
     def _is_ours(self, name: str, path: Path) -> bool:
-        found = os.lstat(path)
-        if stat.S_ISLNK(found.st_mode):
+        status = os.lstat(path)
+        if stat.S_ISLNK(status.st_mode):
             return _matches(_LINKS, f"{name} -> {os.readlink(path)}", self._tokens)
-        if not stat.S_ISREG(found.st_mode):
+        if not stat.S_ISREG(status.st_mode):
             return False
-        if self._unchanged.get(name) == _fingerprint(found):
+        if self._unchanged.get(name) == _fingerprint(status):
             return True
         if name in self._marks:
-            at, content = self._marks[name]
-            return _read_at(path, at, len(content)) == content
-        known = name in self._states
-        ours = _is_one_of(path, self._states[name]) if known else _matches(_UNFINISHED, name, self._tokens)
+            position, content = self._marks[name]
+            return _read_at(path, position, len(content)) == content
+        is_listed = name in self._states
+        ours = _is_one_of(path, self._states[name]) if is_listed else _matches(_UNFINISHED, name, self._tokens)
         if ours:
-            self._unchanged[name] = _fingerprint(found)
+            self._unchanged[name] = _fingerprint(status)
         return ours
 
     def _describe(self, name: str, path: Path) -> str:
@@ -285,7 +279,6 @@ class Manifest:
                 self._states.setdefault(entry["file"], []).append(state)
 
     def _write(self, entries: Iterable[Mapping[str, Any]]) -> None:
-        """Append lines to the manifest and flush them to the disk."""
         path = self.root / MANIFEST
         content = "".join(json.dumps({"kind": self.kind, **entry}) + "\n" for entry in entries).encode()
         new = not os.path.lexists(path)
@@ -308,21 +301,21 @@ def _parse(line: bytes) -> dict[str, Any] | None:
     try:
         entry = json.loads(line)
         if "session" in entry:
-            known = bool(_TOKEN.fullmatch(entry["session"]))
+            is_valid = bool(_TOKEN.fullmatch(entry["session"]))
         elif "bytes" in entry:
-            known = type(entry["at"]) is int and len(bytes.fromhex(entry["bytes"])) >= 8
+            is_valid = type(entry["at"]) is int and len(bytes.fromhex(entry["bytes"])) >= 8
         else:
-            known = all(type(entry[key]) is int for key in ("size", "since")) and isinstance(entry["sha256"], str)
-        named = "session" in entry or isinstance(entry["file"], str)
-        return entry if known and named and isinstance(entry["kind"], str) else None
+            is_valid = all(type(entry[key]) is int for key in ("size", "since")) and isinstance(entry["sha256"], str)
+        has_name = "session" in entry or isinstance(entry["file"], str)
+        return entry if is_valid and has_name and isinstance(entry["kind"], str) else None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 
 def _matches(patterns: Iterable[str], name: str, tokens: Iterable[str]) -> bool:
     alternatives = "|".join(tokens)
-    whole = (pattern.replace("TOKEN", f"({alternatives})") for pattern in patterns)
-    return bool(alternatives) and any(re.fullmatch(pattern, name) for pattern in whole)
+    filled = (pattern.replace("TOKEN", f"({alternatives})") for pattern in patterns)
+    return bool(alternatives) and any(re.fullmatch(pattern, name) for pattern in filled)
 
 
 def _is_folder(path: Path) -> bool:
@@ -334,7 +327,7 @@ def _is_inside(name: str) -> bool:
 
 
 def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
-    """Return what the operating system changes with a file's content."""
+    """Return the status that changes with a file's content."""
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
@@ -346,20 +339,19 @@ def _state_of(path: Path) -> State:
 def _is_one_of(path: Path, states: Sequence[State]) -> bool:
     """Return whether a file has one of these contents, or the content before an append and part of the addition."""
     size = path.stat().st_size
-    before = {state.since for state in states if state.since < size < state.size}
-    sizes = {size, *before}
+    partial = {state.since for state in states if state.since < size < state.size}
+    sizes = {size, *partial}
     hashes = {state.sha256: state.size for state in states if state.size in sizes}
-    return any(hashes.get(_hash(path, each)) == each for each in sizes & {*hashes.values()})
+    return any(hashes.get(_hash(path, length)) == length for length in sizes & {*hashes.values()})
 
 
 def _hash(path: Path, size: int) -> str:
-    """Return the SHA-256 of a file's first bytes."""
-    total = hashlib.sha256()
+    digest = hashlib.sha256()
     with open(path, "rb") as file:
         while size > 0 and (block := file.read(min(size, _BLOCK))):
-            total.update(block)
+            digest.update(block)
             size -= len(block)
-    return total.hexdigest()
+    return digest.hexdigest()
 
 
 def _read_at(path: Path, at: int, size: int) -> bytes:

@@ -6,7 +6,7 @@ from frictionzoo.core.errors import ConfigError
 
 
 def read_options(texts: Sequence[str], example: str) -> dict[str, str]:
-    """Return the values of a command's arguments by key, as text; `example` is a correct one, for messages.
+    """Return the values of KEY=VALUE arguments by key, as text; messages show the `example`.
 
     Raises:
         ConfigError: An argument is not KEY=VALUE, or a key is given twice.

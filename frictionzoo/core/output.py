@@ -44,14 +44,10 @@ LOGGERS = frozenset({"tensorboard", "csv", "wandb"})
 def claim(
     folder: Path, kind: str, names: Iterable[str] = (), inside: Collection[str] = (), *, undone: bool = False
 ) -> Iterator[Manifest]:
-    """List every file written into a folder inside this context in the folder's manifest.
+    """List every file written into a folder in this context in the folder's manifest for this kind of command.
 
-    Args:
-        folder: The output folder; it need not exist.
-        kind: Kind of command.
-        names: Files that will be written; anything foreign under these names is refused now.
-        inside: Subfolders that must hold nothing foreign.
-        undone: Whether to remove this program's files from the folder after an error.
+    The folder need not exist. Foreign files under `names` or in the subfolders `inside` are refused at once. With
+    `undone`, an error removes this program's files from the folder.
 
     Raises:
         OutputError: A foreign file is in the way.
@@ -80,7 +76,7 @@ def claim(
 def manifest_of(folder: Path, kind: str) -> Manifest:
     """Return the manifest of the context that claimed this folder, else a new one."""
     root = Path(os.path.abspath(folder))
-    claimed = (each for place, each in _CLAIMED.get() if each and place == root and each.kind == kind)
+    claimed = (manifest for place, manifest in _CLAIMED.get() if manifest and place == root and manifest.kind == kind)
     return next(claimed, None) or Manifest(folder, kind)
 
 
@@ -95,30 +91,24 @@ def scratch(folder: Path) -> Iterator[None]:
 
 
 def find_manifest(path: Path) -> tuple[Manifest | None, str]:
-    """Return the manifest that lists a file, None in a `scratch`, and the file's name in it.
+    """Return the manifest of the innermost claimed folder around a file (None: `scratch`), and the file's name in it.
 
-    It belongs to the innermost claimed folder around the file, else to the file's own folder.
+    Without such a folder, the manifest is of the file's folder.
     """
     absolute = Path(os.path.abspath(path))
-    around = [(root, each) for root, each in _CLAIMED.get() if absolute.is_relative_to(root)]
-    if not around:
+    claims = [(root, claimed) for root, claimed in _CLAIMED.get() if absolute.is_relative_to(root)]
+    if not claims:
         return Manifest(path.parent, "file"), path.name
-    root, manifest = max(around, key=lambda pair: len(pair[0].parts))
+    root, manifest = max(claims, key=lambda pair: len(pair[0].parts))
     return manifest, absolute.relative_to(root).as_posix()
 
 
 @contextlib.contextmanager
 def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Collection[str] = ()) -> Iterator[Manifest]:
-    """Lock a job's folder: one process at a time occupies it.
+    """Lock a job's folder, which must exist, for one process; `wait` for another one, or refuse.
 
-    The lock belongs to the operating system and ends with the process, even if it is killed. Unfinished files of killed
-    processes are removed. The folder must exist.
-
-    Args:
-        folder: The job's folder.
-        wait: Whether to wait for another process in it.
-        names: As for `claim`.
-        inside: As for `claim`.
+    The operating system ends the lock with the process, even if it is killed. Unfinished files of killed processes are
+    removed. `names` and `inside` are as for `claim`.
 
     Raises:
         RunError: Another process is in it, and `wait` is false.
@@ -157,18 +147,18 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
 def is_lock(path: Path) -> bool:
     """Return whether a file can be a job's lock: it is empty, so locking it changes nothing."""
     with contextlib.suppress(OSError):
-        found = os.lstat(path)
-        return stat.S_ISREG(found.st_mode) and not found.st_size
+        status = os.lstat(path)
+        return stat.S_ISREG(status.st_mode) and not status.st_size
     return False
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name, rename it, and list it in its output folder's manifest.
+    """Write a file under a temporary name, rename it, and list it in its manifest; missing folders are made.
 
-    Missing folders are made. An older file is replaced if this program wrote it and nobody changed it.
+    An older file is replaced if this program wrote it and nobody changed it.
 
     Raises:
-        OutputError: A foreign file is in the way, the disk is full or the folder cannot be written. No new file stays.
+        OutputError: A foreign file is in the way, or the folder cannot be written or is full. No new file stays.
     """
     manifest, name = find_manifest(path)
     if manifest:
@@ -188,15 +178,10 @@ def remove_written(path: Path) -> None:
 
 @contextlib.contextmanager
 def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
-    """Yield an empty folder whose files move to their place only if no error occurs.
+    """Yield an empty folder whose files move to `place` only if no error occurs.
 
-    Files that an earlier command of the same kind wrote there and that are not written again are removed. All others
-    stay.
-
-    Args:
-        place: The folder to fill.
-        kind: Kind of command.
-        names: Files that will be written, as far as known; the last one is put in place last.
+    `names` are the files that will be written, as far as known; the last one moves last. Older files there, by the same
+    kind of command and not written again, are removed. All others stay.
 
     Raises:
         OutputError: A foreign file is in the way, before or after the work; or the folder cannot be written.

@@ -1,4 +1,4 @@
-"""Parameters: value, unit, bounds, and the coordinate in which the solver moves them."""
+"""Parameters: value, unit, bounds, and the solver's coordinate."""
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -10,10 +10,10 @@ import numpy as np
 from frictionzoo.core.errors import ConfigError, MissingValueError, closest
 
 AT_BOUND = 1e-4
-"""Tolerance for reaching a bound, as a share of the distance between the bounds in the coordinate."""
+"""Tolerance for reaching a bound, as a share of the distance between bounds in the coordinate."""
 
 AUTO = "auto"
-"""Value of an automatic setting; `recipe=auto` chooses it on the training recordings."""
+"""Value of an automatic setting, which `recipe=auto` chooses on the training recordings."""
 
 LARGEST = 1e12
 """Bound, in any unit, of a known value that has to come from the robot's file."""
@@ -73,7 +73,7 @@ class Param:
             number: the solver moves value / scale.
         identify: Whether a fit may change it; `auto` in a configuration is false until a recipe decides.
         tie: Joints that share one value; None: as in the bench.
-        joints: Indices of the joints that have this quantity, in order, one tuple entry each; None: all.
+        joints: Indices of the joints that have this quantity, in the order of the tuples; None: all.
         is_stated: Whether a user stated `init`. The robot's file overrides only a value that nobody stated.
 
     Raises:
@@ -99,7 +99,7 @@ class Param:
             return
         low, high, init = (np.asarray(side, np.float64) for side in (self.low, self.high, self.init))
         free = np.asarray(self.identify, bool)
-        if len(sizes := sorted({len(each) for each in (low, high, init, free) if each.ndim})) > 1:
+        if len(sizes := sorted({len(values) for values in (low, high, init, free) if values.ndim})) > 1:
             raise ConfigError(
                 f"{self.name}: lists of {' and '.join(map(str, sizes))} values; expected one value a joint in each"
             )
@@ -152,21 +152,18 @@ class Param:
     @property
     def is_identified(self) -> bool:
         """Whether a fit may change it in any joint."""
-        given = self.identify
-        return any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))
+        identify = self.identify
+        return any(identify.values() if isinstance(identify, Mapping) else np.atleast_1d(identify))
 
     def for_joints(self, joints: Sequence[str | None]) -> "Param":
-        """Return the parameter for these joints, with tuples in place of patterns.
-
-        Args:
-            joints: Name of each joint, or None.
+        """Return the parameter for joints with these names (or None), with tuples in place of patterns.
 
         Raises:
             ConfigError: A list has the wrong length, a joint matches no pattern, or `init` is then outside the bounds.
             MissingValueError: A value is None.
         """
-        own = [joints[joint] for joint in self.members(len(joints))]
-        parts = {what: _resolve(f"{self.name}.{what}", part, own) for what, part in self._parts().items()}
+        names = [joints[joint] for joint in self.members(len(joints))]
+        parts = {name: _resolve(f"{self.name}.{name}", part, names) for name, part in self._parts().items()}
         return replace(self, **parts)
 
     def members(self, nv: int) -> list[int]:
@@ -181,13 +178,13 @@ class Param:
         own = np.asarray(own)
         if self.joints is None:
             return np.broadcast_to(own, nv)
-        whole = np.full(nv, False if own.dtype == bool else np.nan, bool if own.dtype == bool else np.float64)
-        whole[list(self.joints)] = own
-        return whole
+        values = np.full(nv, False if own.dtype == bool else np.nan, bool if own.dtype == bool else np.float64)
+        values[list(self.joints)] = own
+        return values
 
     def _parts(self) -> dict[str, Any]:
         """Return the attributes that may differ between joints, by name."""
-        return {what: getattr(self, what) for what in ("init", "low", "high", "identify")}
+        return {name: getattr(self, name) for name in ("init", "low", "high", "identify")}
 
     def each(self, what: str, nv: int) -> np.ndarray:
         """Return `init`, `low`, `high` or `identify` of each joint, shape (nv,), NaN or false as in `spread`."""
@@ -211,8 +208,8 @@ class Param:
         value = np.asarray(value, np.float64)
         ends = [self.each(side, len(value)) if value.ndim else getattr(self, side) for side in ("low", "high")]
         with np.errstate(divide="ignore", invalid="ignore"):  # a known value may have no logarithm
-            at, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, *ends))
-        return np.minimum(at - low, high - at) <= AT_BOUND * (high - low)
+            coordinate, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, *ends))
+        return np.minimum(coordinate - low, high - coordinate) <= AT_BOUND * (high - low)
 
     def unit(self, joint_type: str) -> str:
         """Return its unit on a `hinge` or a `slide`."""
@@ -220,7 +217,7 @@ class Param:
 
 
 def fits(pattern: str, joint: str, option: str) -> bool:
-    """Return whether a regular expression matches a joint's whole name; ConfigError, naming the option, for none."""
+    """Return whether a regular expression matches a joint's whole name; ConfigError for an invalid expression."""
     try:
         return re.fullmatch(pattern, joint) is not None
     except re.error as error:
@@ -228,7 +225,7 @@ def fits(pattern: str, joint: str, option: str) -> bool:
 
 
 def group_joints(option: str, tie: Tie, joints: Sequence[str]) -> list[str]:
-    """Return the name of each joint's group, which shares a value; an untied joint has its own name.
+    """Return the name of each joint's group, which shares a value; for an untied joint, the joint's name.
 
     Raises:
         ConfigError: A joint belongs to two groups, or a pattern matches no joint.
@@ -236,16 +233,16 @@ def group_joints(option: str, tie: Tie, joints: Sequence[str]) -> list[str]:
     if not isinstance(tie, Mapping):
         return ["all joints"] * len(joints) if tie else list(joints)
     members = {group: [joint for joint in joints if fits(pattern, joint, option)] for group, pattern in tie.items()}
-    for group, found in members.items():
-        if not found:
+    for group, matching in members.items():
+        if not matching:
             raise ConfigError(f"{option}.{group}={tie[group]}: no joint of that name; {closest(tie[group], joints)}")
-    named = []
+    group_names = []
     for joint in joints:
-        groups = [group for group, found in members.items() if joint in found]
+        groups = [group for group, matching in members.items() if joint in matching]
         if len(groups) > 1:
             raise ConfigError(f"{option}: {joint} belongs to {' and '.join(groups)}, expected one group; change it")
-        named.append(groups[0] if groups else joint)
-    return named
+        group_names.append(groups[0] if groups else joint)
+    return group_names
 
 
 def _say(value: np.ndarray) -> str:
@@ -285,30 +282,30 @@ def _resolve(option: str, given: Any, joints: Sequence[str | None]) -> Any:
         raise ConfigError(f"{option}: {len(given)} values, expected {len(joints)}, one a joint, or one for all")
     if not isinstance(given, Mapping):
         return given
-    found = []
+    values = []
     for joint in joints:
         if joint is None:
             raise ConfigError(
                 f"{option}: patterns of joints' names, but the joints have none; give a list, one a joint"
             )
-        fitting = [value for pattern, value in given.items() if fits(pattern, joint, option)]
-        if not fitting:
+        matches = [value for pattern, value in given.items() if fits(pattern, joint, option)]
+        if not matches:
             raise ConfigError(f"{option}: no pattern of {', '.join(given)} fits {joint}; add one, such as '.*', last")
-        found.append(fitting[0])
-    return tuple(found)
+        values.append(matches[0])
+    return tuple(values)
 
 
 def _complete(section: Any, defaults: Mapping[str, Any]) -> Any:
     """Complete a parameter's section; a known value gets bounds around it, which no fit uses."""
-    alone = isinstance(section, Mapping) and set(section) == {"init"} and not defaults
-    init = section["init"] if alone else section
-    by_pattern = alone and isinstance(init, Mapping)
-    known: list[Any] = list(init.values() if by_pattern else init if isinstance(init, list | tuple) else [init])
-    if known == [None] and alone:
+    only_init = isinstance(section, Mapping) and set(section) == {"init"} and not defaults
+    init = section["init"] if only_init else section
+    by_pattern = only_init and isinstance(init, Mapping)
+    values: list[Any] = list(init.values() if by_pattern else init if isinstance(init, list | tuple) else [init])
+    if values == [None] and only_init:
         return {"init": None, "low": -LARGEST, "high": LARGEST, "scale": 1.0, "identify": False}
-    if known and all(isinstance(value, int | float) and not isinstance(value, bool) for value in known):
-        reach = max(abs(value) for value in known) or 1.0
-        bounds = {"low": min(known) - reach, "high": max(known) + reach}
+    if values and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+        reach = max(abs(value) for value in values) or 1.0
+        bounds = {"low": min(values) - reach, "high": max(values) + reach}
         return {"init": init, **bounds, "scale": reach, "identify": False}
     return {**defaults, **section} if isinstance(section, Mapping) else section
 
@@ -321,15 +318,10 @@ def read_params(
     defaults: Mapping[str, Mapping[str, Any]] | None = None,
     ends: Collection[str] = (),
 ) -> dict[str, Param]:
-    """Return the parameters that `owner` declares, from the configuration's section of the same names.
+    """Return the parameters in `dimensions`, from sections of the same names, or from values if known.
 
-    Args:
-        owner: Owner of the parameters, for messages.
-        dimensions: Dimension of each declared parameter.
-        config: Section of each parameter, or its value if it is known.
-        optional: Parameters that need no section. One that is known to be 0 is dropped: its effect is absent.
-        defaults: Default section entries of parameters that have any.
-        ends: Parameters in `optional` that are kept at 0.
+    Parameters in `optional` need no section. One that is known to be 0 is dropped, because its effect is absent, unless
+    it is in `ends`. `defaults` has default entries of sections; messages name the `owner`.
 
     Raises:
         ConfigError: A parameter is missing or unknown.
@@ -349,19 +341,19 @@ def refuse_negative(prefix: str, params: Mapping[str, Param]) -> None:
     """Refuse negative values and lower bounds of quantities that cannot be negative.
 
     Raises:
-        ConfigError: There is one; in the message `prefix` precedes its name.
+        ConfigError: The message names the quantity after `prefix`.
     """
     for name, param in params.items():
         if name.rpartition(".")[2] not in _NOT_NEGATIVE:
             continue
-        for what in ("init", *(("low",) if param.is_identified else ())):
-            value: Any = getattr(param, what)
+        for attribute in ("init", *(("low",) if param.is_identified else ())):
+            value: Any = getattr(param, attribute)
             if value is None:
                 continue
             numbers = np.array([*value.values()] if isinstance(value, Mapping) else value, np.float64)
             if (numbers < 0).any():
-                said = name if what == "init" else f"{name}.low"
-                raise ConfigError(f"{prefix}{said}={_say(numbers)}; expected 0 or more; correct the sign")
+                option = name if attribute == "init" else f"{name}.low"
+                raise ConfigError(f"{prefix}{option}={_say(numbers)}; expected 0 or more; correct the sign")
 
 
 def _is_zero(given: Any) -> bool:

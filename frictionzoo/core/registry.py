@@ -22,11 +22,7 @@ B = TypeVar("B")
 class Found(NamedTuple):
     """Plug-in as read from its file, without importing it.
 
-    Attributes:
-        name: Registered name.
-        module: Module of the class.
-        target: Dotted name of the class, as in `_target_`.
-        summary: First line of its docstring.
+    `target` is the dotted name of the class, as in `_target_`; `summary` is the first line of its docstring.
     """
 
     name: str
@@ -71,17 +67,17 @@ class Kind:
         Raises:
             ConfigError: Two files register one name.
         """
-        found: dict[str, Found] = {}
+        plugins: dict[str, Found] = {}
         home = sys.modules.get(self.home)
-        inside = Path(__file__).parents[1].joinpath(*self.home.split(".")[1:])
-        for folder in home.__path__ if home else [str(inside)]:
+        source = Path(__file__).parents[1].joinpath(*self.home.split(".")[1:])
+        for folder in home.__path__ if home else [str(source)]:
             for path in sorted(Path(folder).glob("*.py")):
                 for name, cls, summary in _read_file(path, self.decorator):
                     module = f"{self.home}.{path.stem}"
-                    one = Found(name, module, f"{self.home if self.offered else module}.{cls}", summary)
-                    if found.setdefault(name, one) != one:
-                        raise ConfigError(f"{name}: registered by {found[name].target} and {one.target}; rename one")
-        return found
+                    new = Found(name, module, f"{self.home if self.offered else module}.{cls}", summary)
+                    if plugins.setdefault(name, new) != new:
+                        raise ConfigError(f"{name}: registered by {plugins[name].target} and {new.target}; rename one")
+        return plugins
 
     def brought(self) -> list[EntryPoint]:
         """Return the entry points of other packages."""
@@ -95,7 +91,7 @@ class Kind:
         """Return another package's plug-in as read from its file."""
         try:
             origin = getattr(find_spec(point.module), "origin", None)
-        except Exception as error:  # an error while another package is imported must not end the listing
+        except Exception as error:  # another package's import error must not end the listing
             return Found(point.name, point.module, point.module, f"does not load: {error}")
         for name, cls, summary in _read_file(Path(origin), self.decorator) if origin else ():
             if name == point.name:
@@ -123,12 +119,9 @@ _REGISTRIES: list["Registry"] = []
 
 @dataclass
 class Registry(Generic[B]):
-    """Plug-ins of one kind.
+    """Plug-ins of one kind, which derive from `base` and define `method`.
 
     Attributes:
-        kind: The kind.
-        base: Class from which all derive.
-        method: Method that each must define.
         error: Error for an invalid plug-in.
         unknown: Error for a name that is not registered.
         entries: Registered classes that have been imported, by name.
@@ -153,8 +146,8 @@ class Registry(Generic[B]):
         """Return a class decorator that registers a plug-in under a name.
 
         Raises:
-            FrictionzooError: The name is taken or not lower case with underscores, or the class is incomplete or has
-                a name.
+            FrictionzooError: The name is taken or not lower case with underscores, or the class is incomplete or has a
+                name.
         """
         return lambda cls: self._add(name, cls)
 
@@ -162,12 +155,11 @@ class Registry(Generic[B]):
         """Return the class with this name, from this package or another one.
 
         Raises:
-            FrictionzooError: The name is unknown (the message names the closest), two packages provide it, or its
-                package is broken.
+            FrictionzooError: The name is unknown, two packages provide it, or its package is broken.
         """
-        own, outside = self.kind.own(), self._outside()
-        if name in own:
-            self._load(own[name])
+        builtin, outside = self.kind.own(), self._outside()
+        if name in builtin:
+            self._load(builtin[name])
         elif name not in self.entries and name not in outside:
             raise self.unknown(f"{name}: no such {self.kind.noun}; {closest(name, self.names())}")
         if name in outside:
@@ -184,43 +176,41 @@ class Registry(Generic[B]):
         Raises:
             AttributeError: There is no such class.
         """
-        for found in self.kind.own().values():
-            if found.target == f"{self.kind.home}.{name}":
-                return self._load(found)
+        for plugin in self.kind.own().values():
+            if plugin.target == f"{self.kind.home}.{name}":
+                return self._load(plugin)
         raise AttributeError(f"module {self.kind.home!r} has no attribute {name!r}")
 
     def _add(self, name: str, cls: T) -> T:
-        known: Any = cls
-        if not (isinstance(known, type) and issubclass(known, self.base)) or inspect.isabstract(known):
+        new: Any = cls
+        if not (isinstance(new, type) and issubclass(new, self.base)) or inspect.isabstract(new):
             expected = f"a {self.base.__name__} class with a `{self.method}` method"
             raise self.error(f"{name}: {cls!r} is registered, expected {expected}")
         if not name.isidentifier() or name != name.lower():
             raise self.error(f"{name}: expected a name in lower case with underscores; rename the {self.noun}")
-        own = self.kind.own().get(name)
-        if own and own.module != known.__module__:
-            self._load(own)
-        # A class defined again, as in a notebook cell that is run again, replaces the old one.
-        if dotted_name(self.entries.get(name, known)) != dotted_name(known):
+        builtin = self.kind.own().get(name)
+        if builtin and builtin.module != new.__module__:
+            self._load(builtin)
+        # A class defined again, as in a notebook cell, replaces the old one.
+        if dotted_name(self.entries.get(name, new)) != dotted_name(new):
             raise self.error(f"{name}: already registered by {self.entries[name].__qualname__}; choose another name")
         # A subclass inherits its parent's `name`; only the class's own counts.
-        if vars(known).get("name", name) != name:
-            raise self.error(f"{name}: {known.__qualname__} is already registered as {known.name}; one name each")
-        known.name = name
+        if vars(new).get("name", name) != name:
+            raise self.error(f"{name}: {new.__qualname__} is already registered as {new.name}; one name each")
+        new.name = name
         self.entries[name] = cls
         return cls
 
     def _load(self, found: Found) -> type[B]:
-        """Import one of this package's plug-ins."""
         cls = getattr(importlib.import_module(found.module), found.target.rpartition(".")[2])
         return self.entries.setdefault(found.name, cls)
 
     def _outside(self) -> dict[str, EntryPoint]:
-        """Return the entry points of other packages by name."""
         points: dict[str, EntryPoint] = {}
         for point in self.kind.brought():
             if points.setdefault(point.name, point).value != point.value:
-                both = f"entry points {points[point.name].value} and {point.value} both bring it"
-                raise self.error(f"{point.name}: {both}; uninstall one of the packages")
+                conflict = f"entry points {points[point.name].value} and {point.value} both bring it"
+                raise self.error(f"{point.name}: {conflict}; uninstall one of the packages")
         return points
 
     def _load_outside(self, point: EntryPoint) -> None:
@@ -234,36 +224,33 @@ class Registry(Generic[B]):
             raise self.error(f'{point.name}: {message}; decorate it @{self.kind.decorator}("{point.name}")')
         owner = self.entries[point.name].__module__
         if owner.partition(".")[0] != point.module.partition(".")[0]:
-            both = f"brought by both {owner} and {point.value}"
-            raise self.error(f"{point.name}: {both}; uninstall one or rename its {self.noun}")
+            conflict = f"brought by both {owner} and {point.value}"
+            raise self.error(f"{point.name}: {conflict}; uninstall one or rename its {self.noun}")
 
 
 def find_plugin(target: str) -> type | None:
-    """Return the registered class with this dotted name, as in `_target_`; None if there is none.
-
-    For this package it imports the file that registers the class; for another one, the modules of its entry points.
-    """
+    """Return the plug-in class with this dotted name, or None; import its file, or its package's entry points."""
     if registered := find_registered(target):
         return registered
     module, _, name = target.rpartition(".")
     for kind in KINDS.values():
-        for found in kind.own().values():
-            own, _, cls = found.target.rpartition(".")
-            if name == cls and module in (own, found.module, *_ALSO_AT.get(kind.plural, ())):
-                return import_class(found.target)
+        for plugin in kind.own().values():
+            home, _, cls = plugin.target.rpartition(".")
+            if name == cls and module in (home, plugin.module, *_ALSO_AT.get(kind.plural, ())):
+                return import_class(plugin.target)
     root = target.partition(".")[0]
-    brought = [(k, p) for k in KINDS.values() for p in k.brought() if p.module.partition(".")[0] == root]
-    named = [point for kind, point in brought if kind.describe(point).target == target]
-    for point in named or [point for _, point in brought]:
+    candidates = [(k, p) for k in KINDS.values() for p in k.brought() if p.module.partition(".")[0] == root]
+    matching = [point for kind, point in candidates if kind.describe(point).target == target]
+    for point in matching or [point for _, point in candidates]:
         with contextlib.suppress(ImportError, AttributeError):  # reported when the plug-in is asked for by name
             point.load()
-    # The package may export the class from a module other than the one that defines it.
-    offered = getattr(sys.modules.get(module), name, None) if brought else None
-    return find_registered(target) or next((cls for cls in _list_registered() if cls is offered), None)
+    # The package may export the class from another module than its home.
+    exported = getattr(sys.modules.get(module), name, None) if candidates else None
+    return find_registered(target) or next((cls for cls in _list_registered() if cls is exported), None)
 
 
 def import_class(target: str) -> type:
-    """Import the class with a dotted name from this package's code; never pass a name from a file or a user."""
+    """Import a class by its dotted name in this package's code; never pass a name from a file or a user."""
     module, _, name = target.rpartition(".")
     return getattr(importlib.import_module(module), name)
 
@@ -290,10 +277,10 @@ def dotted_name(cls: type) -> str:
 @functools.cache
 def _entry_points(path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
     """Return the entry points of the packages on this path, by group; cached, because the search is slow."""
-    found = entry_points()
+    points = entry_points()
     # The backport importlib_metadata, once imported, takes over discovery with its own class.
     return {
-        kind.group: [EntryPoint(point.name, point.value, kind.group) for point in found.select(group=kind.group)]
+        kind.group: [EntryPoint(point.name, point.value, kind.group) for point in points.select(group=kind.group)]
         for kind in KINDS.values()
     }
 

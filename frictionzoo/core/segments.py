@@ -97,15 +97,11 @@ class Sampling(NamedTuple):
 
 
 def cut_segments(logs: Sequence[Log], count: int | None = 20_000, length: int = 5, history: int = 0) -> Segments:
-    """Cut windows for a fit: they share no step, and are spread evenly if there are more than `count`.
+    """Cut windows for a fit from logs with equal columns and timestep.
 
-    Neighbours share the sample on their border: it ends one and starts the other.
-
-    Args:
-        logs: Recordings with the same columns and timestep.
-        count: Largest number of segments; None takes all.
-        length: Sample intervals in a segment; it spans one sample more.
-        history: Command samples before the first state; before a log begins, its first one is repeated.
+    Each spans `length` sample intervals; there are at most `count` (None: all), spread evenly. They share no step: a
+    sample on a border ends one and starts the next. `history` counts command samples before the first state; before a
+    log begins, its first one is repeated.
 
     Raises:
         LogError: The logs do not match, or none is long enough for one segment.
@@ -135,10 +131,10 @@ def cut_rollouts(
     history: int = 0,
     options: tuple[str, str] = ("evaluation.horizons", "evaluation.rollouts"),
 ) -> Segments:
-    """Cut windows for an evaluation.
+    """Cut windows for an evaluation from logs with equal columns and timestep.
 
     Args:
-        logs: Recordings with the same columns and timestep.
+        logs: Recordings.
         horizon_s: Length of a rollout [s].
         count: Largest number of rollouts; None takes all, with `consecutive` only.
         placement: `random`: distinct starts drawn from `seed`, which may overlap; `consecutive`: a restart every
@@ -169,12 +165,9 @@ def cut_rollouts(
 
 
 def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
-    """Split one log into its first block for training and its last for testing, with an unused gap between.
+    """Split one log into its first block for training and its last, of `test_share`, for testing.
 
-    Args:
-        log: The recording.
-        test_share: Share of the samples in the test part, between 0 and 1.
-        gap: Time between the parts [s], so that the drive's state at the end of one does not reveal the other.
+    An unused gap [s] between them keeps the state at the end of one from revealing the other.
 
     Raises:
         LogError: A part would have fewer than two samples.
@@ -207,9 +200,9 @@ def _refuse_mixture(logs: Sequence[Log]) -> float:
                 "resample the logs to one timestep"
             )
         for signal in ("qpos", "ctrl"):
-            came, expected = getattr(log, signal).shape[1], getattr(first, signal).shape[1]
-            if came != expected:
-                raise LogError(f"{log.name}: {came} columns of {signal}, expected {expected} as in {first.name}")
+            columns, expected = getattr(log, signal).shape[1], getattr(first, signal).shape[1]
+            if columns != expected:
+                raise LogError(f"{log.name}: {columns} columns of {signal}, expected {expected} as in {first.name}")
     return first.timestep
 
 
@@ -231,14 +224,13 @@ def _consecutive(log: Log, length: int) -> Int[np.ndarray, "segments"]:
 
 
 def _places(starts: Sequence[Int[np.ndarray, "..."]]) -> Int[np.ndarray, "segments 2"]:
-    """Return the log index and first sample of every window, from the first samples in each log."""
+    """Return log index and first sample of every window, from the first samples in each log."""
     return np.concatenate(
         [np.stack([np.full_like(first, number), first], axis=1) for number, first in enumerate(starts)]
     )
 
 
 def _spread(places: Int[np.ndarray, "available 2"], count: int | None, option: str) -> Int[np.ndarray, "segments 2"]:
-    """Return at most `count` windows, evenly spread."""
     _refuse_below_one(option, count)
     available = len(places)
     if count is None or count >= available:
@@ -249,7 +241,7 @@ def _spread(places: Int[np.ndarray, "available 2"], count: int | None, option: s
 def _draw(
     places: Int[np.ndarray, "available 2"], count: int | None, seed: int, option: str
 ) -> Int[np.ndarray, "segments 2"]:
-    """Draw at most `count` windows without repetition and return them in the order of drawing."""
+    """Draw at most `count` windows without repetition, in the order of drawing."""
     if count is None:
         raise ConfigError(f"{option}=null with evaluation.placement=random: expected a number of rollouts")
     _refuse_below_one(option, count)
@@ -258,7 +250,6 @@ def _draw(
 
 
 def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length: int, history: int) -> Segments:
-    """Cut the windows that start at these places (log index, first sample)."""
     offset = np.cumsum([0] + [log.samples for log in logs[:-1]])
     start = offset[places[:, 0]]
     index = (start + places[:, 1])[:, None] + np.arange(length + 1)
@@ -266,7 +257,7 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     driven = np.concatenate([before, index[:, :-1]], axis=1)
     qpos, qvel = (np.concatenate([getattr(log, name) for log in logs])[index] for name in ("qpos", "qvel"))
     recorded = [log.signals.named() for log in logs]
-    signals = {name: np.concatenate([of_log[name] for of_log in recorded])[driven] for name in recorded[0]}
+    signals = {name: np.concatenate([named[name] for named in recorded])[driven] for name in recorded[0]}
     load = np.stack([log.load for log in logs])[places[:, 0]]
     follows = np.append(False, (np.diff(places, axis=0) == [0, length]).all(axis=1))
     begins = np.concatenate([log.time for log in logs])[index[:, 0]]

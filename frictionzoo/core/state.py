@@ -18,18 +18,16 @@ class Signals(NamedTuple):
     observed: dict[str, Any] = {}
 
     def map(self, change: Callable[[Any], Any]) -> "Signals":
-        """Apply a function to each signal and keep the names.
-
-        Args:
-            change: Function from a signal to its replacement.
-        """
+        """Apply a function to each signal and keep the names."""
         named = ({name: change(signal) for name, signal in part.items()} for part in self[1:])
         return Signals(change(self.ctrl), *named)
 
     def named(self) -> dict[str, Any]:
         """Return the signals by full name: `ctrl`, `inputs.NAME`, `observed.NAME`."""
         parts = (("inputs", self.inputs), ("observed", self.observed))
-        return {"ctrl": self.ctrl} | {f"{part}.{name}": signal for part, of in parts for name, signal in of.items()}
+        return {"ctrl": self.ctrl} | {
+            f"{part}.{name}": signal for part, group in parts for name, signal in group.items()
+        }
 
     @classmethod
     def from_named(cls, arrays: Mapping[str, Any]) -> "Signals":

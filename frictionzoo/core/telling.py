@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-# Control characters, marks of text direction, other line separators, and halves of surrogate pairs.
+# Control characters, text direction marks, line separators, halves of surrogate pairs.
 _CONTROL = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff\U000e0000-\U000e007f]"
 )
@@ -52,23 +52,19 @@ def tell(doing: str) -> None:
 
 @contextlib.contextmanager
 def telling_again(every: float = 10.0) -> Iterator[None]:
-    """Repeat the current activity and its duration whenever nothing was printed for some time.
-
-    Args:
-        every: Time between repetitions [s].
-    """
+    """Repeat the current activity and its duration whenever nothing was printed for `every` seconds."""
     ended = threading.Event()
 
     def watch() -> None:
-        told, again = _told, every
+        activity, due = _told, every
         while not ended.wait(every / 10):
-            if _told != told:
-                told, again = _told, every
-            doing, since = told
+            if _told != activity:
+                activity, due = _told, every
+            doing, since = activity
             passed = time.monotonic() - since
-            if doing and passed >= again and sys.stderr.isatty():
+            if doing and passed >= due and sys.stderr.isatty():
                 print(f"{escape_controls(doing)}, {passed:.0f} s so far ...", file=sys.stderr, flush=True)
-                again += every
+                due += every
 
     watching = threading.Thread(target=watch, name="telling again", daemon=True)
     watching.start()

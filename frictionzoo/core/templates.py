@@ -35,15 +35,10 @@ def write_yaml(value: str | list[str]) -> str:
 
 
 def open_template(path: str, filters: Mapping[str, Callable[..., Any]] | None = None, html: bool = False) -> Template:
-    """Open a template that raises for undefined names.
+    """Open a template, by its path in the package, that raises for undefined names; `filters` extend jinja's.
 
-    In a template of a Python file, `NAME.py.jinja`, each value becomes a literal, like autoescaping for HTML: text
-    cannot become code. Code has the type `Code` or passes through the filter `code`.
-
-    Args:
-        path: Path of its file, relative to the package.
-        filters: Filters in addition to jinja's, by name.
-        html: Whether to escape text.
+    In a template of a Python file, `NAME.py.jinja`, each value becomes a literal, like autoescaping for HTML (`html`):
+    text cannot become code. Code has the type `Code` or passes through the filter `code`.
     """
     environment = Environment(
         loader=PackageLoader("frictionzoo", ""),

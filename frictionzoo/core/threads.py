@@ -8,7 +8,7 @@ from frictionzoo.core.errors import ConfigError
 
 _log = logging.getLogger(__name__)
 
-MOST_THREADS = 1024  # more than the cores of any machine: this many are started
+MOST_THREADS = 1024  # above the cores of any machine; this many threads would start
 # Read once, when XLA's CPU pool, torch, and the libraries below numpy and scipy are loaded.
 _VARIABLES = ("PJRT_NPROC", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 

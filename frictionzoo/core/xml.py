@@ -21,16 +21,12 @@ def write_xml(root: "ET.Element[Any]") -> str:
 
 
 def write_element(element: "ET.Element[Any]") -> str:
-    """Write an element on one line.
-
-    Raises:
-        ExportError: As `write_xml`.
-    """
+    """Write an element on one line; ExportError as for `write_xml`."""
     for part in element.iter():
         for text in (*part.attrib.values(), part.text or ""):
-            if found := _IMPOSSIBLE.search(text):
+            if match := _IMPOSSIBLE.search(text):
                 raise ExportError(
-                    f"{text!r}: the character {found[0]!r} in it cannot be written, expected one that XML has; rename "
+                    f"{text!r}: the character {match[0]!r} in it cannot be written, expected one that XML has; rename "
                     "it in the model"
                 )
     return ET.tostring(element, encoding="unicode")
