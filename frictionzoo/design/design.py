@@ -69,42 +69,36 @@ class Found(NamedTuple):
 def design(task: Task, series: Series, limits: Limits, search: Search, reference: Float[np.ndarray, "own"]) -> Found:
     """Optimise the coefficients of a series with Adam and exact gradients, from several starting points in parallel.
 
-    Limits are soft penalties here; `scale_within` enforces them.
-
-    Args:
-        task: The drive.
-        series: The series, from `Series.shortened`.
-        limits: Limits of the command and the motion.
-        search: Options of the search.
-        reference: Half of each reference interval, in the optimiser's coordinates; `worst` is relative to it.
+    Limits are soft penalties here; `scale_within` enforces them. `series` comes from `Series.shortened`. `reference` is
+    half of each reference interval, in the optimiser's coordinates, for the criterion `worst`.
 
     Raises:
         ConfigError: The search diverges from all starting points.
     """
-    look = task.drive.rollout.compile(_assess(task, series, limits, search.criterion, reference))
+    evaluate = task.drive.rollout.compile(_assess(task, series, limits, search.criterion, reference))
     begin = _draw(series, len(limits.home), search)
     for _ in range(3):  # the torque is not proportional to the amplitude
-        _, (_, used) = look(begin, np.ones(len(begin)))[0]
+        _, (_, used) = evaluate(begin, np.ones(len(begin)))[0]
         size = np.nan_to_num(np.asarray(used).max(axis=1), nan=10.0)
         begin = begin * np.minimum(_BEGIN / size, 2.0)[:, None, None]
     size = np.sqrt(np.square(begin).mean(axis=(1, 2)))
     optimiser = optax.adam(optax.cosine_decay_schedule(_STEP, search.iterations))
     vectors = jnp.asarray(begin / size[:, None, None])
     state = optimiser.init(vectors)
-    course, kept = [], vectors
+    history, optima = [], vectors
     best = jnp.full(len(vectors), jnp.inf)
     for _ in range(search.iterations):
-        (_, (values, _)), gradient = look(vectors, size)
+        (_, (values, _)), gradient = evaluate(vectors, size)
         better = values < best  # False for NaN
-        best, kept = jnp.where(better, values, best), jnp.where(better[:, None, None], vectors, kept)
-        course.append(values)
+        best, optima = jnp.where(better, values, best), jnp.where(better[:, None, None], vectors, optima)
+        history.append(values)
         updates, state = optimiser.update(jnp.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
         vectors = vectors + cast(Array, updates)
-    found, began = (np.asarray(value, np.float64) for value in (best, course[0]))
-    if not np.isfinite(found).any():
+    losses, initial = (np.asarray(value, np.float64) for value in (best, history[0]))
+    if not np.isfinite(losses).any():
         raise ConfigError("no command moves this drive within these limits; raise them, or doubt the bench")
-    chosen = int(np.nanargmin(found))
-    return Found(np.asarray(kept)[chosen] * size[chosen], np.where(np.isfinite(found), found, np.nan), began)
+    chosen = int(np.nanargmin(losses))
+    return Found(np.asarray(optima)[chosen] * size[chosen], np.where(np.isfinite(losses), losses, np.nan), initial)
 
 
 def _draw(series: Series, nv: int, search: Search) -> Float[np.ndarray, "starts nv coefficients"]:
@@ -152,18 +146,18 @@ def scale_within(
     Raises:
         ConfigError: No scale keeps the limits, or the drive does not move with it.
     """
-    see = task.drive.rollout.compile(lambda ctrl, speed: task.see(ctrl, speed, limits.home))
+    simulate = task.drive.rollout.compile(lambda ctrl, speed: task.see(ctrl, speed, limits.home))
     factor = 1.0
     for _ in range(_TRIALS):
         commands = (part[None] for part in series.command(np, factor * coefficients, limits.home))
-        seen = jax.tree.map(np.asarray, see(*commands))
-        used = float(seen.motion.shares(np, limits).max())
+        simulated = jax.tree.map(np.asarray, simulate(*commands))
+        used = float(simulated.motion.shares(np, limits).max())
         if used <= 1:
             break
-        # Part of the torque is friction independent of the amplitude: the amplitude must fall by more than the excess.
+        # Some friction does not depend on the amplitude, which must therefore fall by more than the excess.
         factor *= min(used**-1.2, 0.999) if np.isfinite(used) else 0.5
-    if not used <= 1 or np.abs(seen.motion.qvel).max() < _LEAST * limits.velocity.max():
+    if not used <= 1 or np.abs(simulated.motion.qvel).max() < _LEAST * limits.velocity.max():
         raise ConfigError(
             "the drive does not move within these limits: what holds it and its friction take all of torque; raise it"
         )
-    return factor * coefficients, seen
+    return factor * coefficients, simulated

@@ -34,9 +34,8 @@ class Excitation:
 
     Attributes:
         motion: The command at each sample, and its motion in MuJoCo C.
-        inputs: Further commands of the actuator model by name, of shape (samples, nv).
+        inputs: Further commands of the actuator model by name.
         interval: Time between samples [s].
-        joints: Names of the joints.
         note: Content of `excitation.json`.
         points: Trajectory points per second.
         fps: Actions per second.
@@ -68,36 +67,36 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Excita
         task = prepare(request, run)
         limits = Limits.read(task.bench.nv, **request.limits)
         refuse_unholdable(task.bench, task.values["bench"], task.constants, limits)
-        sensitivity, kept = task.sensitivity, limits.within(1 - plan.margin)
+        sensitivity, reduced = task.sensitivity, limits.within(1 - plan.margin)
         series = plan.series(sensitivity.sampling.interval, sensitivity.length)
         if sensitivity.segments(series.shortened.samples) < 2:
             raise ConfigError(
                 f"seconds={plan.seconds:g}: fewer than two of the fit's segments of {sensitivity.length} samples; "
                 "record for longer or lower segments.length"
             )
-        found = design(task, series.shortened, kept, request.search, _known_before(sensitivity.space, run))
-        coefficients, seen = scale_within(task, series, kept, found.coefficients)
+        optimum = design(task, series.shortened, reduced, request.search, _known_before(sensitivity.space, run))
+        coefficients, simulated = scale_within(task, series, reduced, optimum.coefficients)
         ctrl, speed = series.command(np, coefficients, limits.home)
-        motion, whole = task.see_in_c(ctrl, speed, limits.home)
-        half = sensitivity.half_widths(seen.information, sensitivity.segments(series.samples))[0]
-    used = whole.shares(np, limits).max(axis=1)
+        motion, motion_in_steps = task.see_in_c(ctrl, speed, limits.home)
+        half = sensitivity.half_widths(simulated.information, sensitivity.segments(series.samples))[0]
+    used = motion_in_steps.shares(np, limits).max(axis=1)
     _refuse_beyond(used, task.bench)
     note = {
         "run": None if run is None else str(Path(run.place).resolve()),
         "model": task.model.name,
         "joints": list(task.bench.joints),
         "parameters": _list_parameters(task, half, run),
-        "limits": _list_limits(task.bench, limits, whole, used),
+        "limits": _list_limits(task.bench, limits, motion_in_steps, used),
         "command": {**asdict(plan), "rate": 1 / series.interval, "home": limits.home.tolist()},
         "noise": asdict(request.noise),
-        "search": {**asdict(request.search), "began": found.first.tolist(), "ended": found.values.tolist()},
+        "search": {**asdict(request.search), "began": optimum.first.tolist(), "ended": optimum.values.tolist()},
         "fit": {"length": sensitivity.length, "weights": list(sensitivity.weights)},
         "next": list_steps(
             options, None if run is None else run.place, settings, task.bench, task.model, sensitivity.length
         ),
     }
-    given = {"ctrl_velocity": speed} | {name: np.tile(own, (len(ctrl), 1)) for name, own in task.constants.items()}
-    commands = {name: given[name] for name in task.bench.actuator.commands}
+    inputs = {"ctrl_velocity": speed} | {name: np.tile(value, (len(ctrl), 1)) for name, value in task.constants.items()}
+    commands = {name: inputs[name] for name in task.bench.actuator.commands}
     return Excitation(motion, commands, series.interval, task.bench.joints, note, plan.points, plan.fps)
 
 
@@ -140,12 +139,11 @@ def _make_law(bench: Bench, settings: Mapping[str, Any]) -> FrictionModel:
 
 
 def _coordinates(space: Space, run: FittedDrive) -> Float[np.ndarray, "coordinates"]:
-    """Return the coordinates of a run's identified values."""
-    found = [np.zeros(0)]
+    parts = [np.zeros(0)]
     for name, place in space.places.items():
         values = run.parameters[name].value[place.first]
-        found.append(space.params[name].to_coordinate(values, np))
-    return np.concatenate(found)
+        parts.append(space.params[name].to_coordinate(values, np))
+    return np.concatenate(parts)
 
 
 def _known_before(space: Space, run: FittedDrive | None) -> Float[np.ndarray, "coordinates"]:
@@ -156,35 +154,34 @@ def _known_before(space: Space, run: FittedDrive | None) -> Float[np.ndarray, "c
     for name, place in space.places.items():
         low, high = run.parameters[name].interval[place.first].T
         half.append((space.params[name].to_coordinate(high, np) - space.params[name].to_coordinate(low, np)) / 2)
-    whole = np.concatenate(half)
-    return np.where(np.isfinite(whole) & (whole > 0), whole, 1.0)
+    half_intervals = np.concatenate(half)
+    return np.where(np.isfinite(half_intervals) & (half_intervals > 0), half_intervals, 1.0)
 
 
 def _pick_inputs(
     bench: Bench, given: Mapping[str, float], run: FittedDrive | None
 ) -> dict[str, Float[np.ndarray, "nv"]]:
     """Choose the constant inputs of the actuator model: given values, else medians of the run, else its defaults."""
-    law, found = bench.actuator, {}
+    law, constants = bench.actuator, {}
     for name in given:
         if name not in law.inputs:
             needed = ", ".join(law.inputs) or "nothing"
             raise ConfigError(f"inputs.{name}: {type(law).__name__} needs {needed} besides the command; leave it out")
     for name in law.inputs:
         if name in given:
-            found[name] = np.full(bench.nv, given[name])
+            constants[name] = np.full(bench.nv, given[name])
         elif name == "ctrl_velocity":
             continue  # the derivative of the command
         elif run is not None:
-            found[name] = np.median(run.segments.signals.inputs[name], axis=(0, 1))
+            constants[name] = np.median(run.segments.signals.inputs[name], axis=(0, 1))
         elif name in law.optional_inputs:
-            found[name] = np.full(bench.nv, law.optional_inputs[name])
+            constants[name] = np.full(bench.nv, law.optional_inputs[name])
         else:
             raise ConfigError(f"inputs.{name} is missing: {type(law).__name__} needs it; give inputs.{name}=VALUE")
-    return found
+    return constants
 
 
 def _refuse_beyond(used: Float[np.ndarray, "kinds nv"], bench: Bench) -> None:
-    """Refuse a command whose motion in MuJoCo C exceeds a limit."""
     if not (used <= 1).all():
         kind, joint = np.unravel_index(np.argmax(np.nan_to_num(used, nan=np.inf)), used.shape)
         raise ConfigError(
@@ -198,7 +195,7 @@ def _list_parameters(
 ) -> list[dict[str, Any]]:
     """List a row for each coordinate: value, expected accuracy and present accuracy."""
     space = task.sensitivity.space
-    rows, now = relative(space, task.vector, half), {} if run is None else _share_now(run)
+    rows, present = relative(space, task.vector, half), {} if run is None else _share_now(run)
     units = {name: param.unit(task.bench.joint_type) for name, param in space.params.items()}
     return [
         {
@@ -207,10 +204,10 @@ def _list_parameters(
             "value": value,
             "half_width": width,
             "share": share,
-            "share_now": now.get(label),
-            "identifiable": bool(own < WIDEST),
+            "share_now": present.get(label),
+            "identifiable": bool(half_coordinate < WIDEST),
         }
-        for (label, (value, width, share)), own in zip(rows.items(), half.tolist(), strict=True)
+        for (label, (value, width, share)), half_coordinate in zip(rows.items(), half.tolist(), strict=True)
     ]
 
 
@@ -227,7 +224,7 @@ def _share_now(run: FittedDrive) -> dict[str, float]:
 def _list_limits(
     bench: Bench, limits: Limits, whole: Motion, used: Float[np.ndarray, "kinds nv"]
 ) -> list[dict[str, Any]]:
-    """List a row for each limited quantity and joint: the reached range in MuJoCo C, and the allowed one."""
+    """List a row for each limited quantity and joint: the range reached in MuJoCo C, and the allowed one."""
     signals = whole.ctrl, whole.speed, whole.qpos, whole.qvel, whole.torque
     ends = {"position": (limits.low, limits.high)}
     ends |= {kind: (-getattr(limits, kind), getattr(limits, kind)) for kind in ("velocity", "torque")}

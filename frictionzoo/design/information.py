@@ -52,11 +52,9 @@ class Noise:
 
 
 class Sensed(NamedTuple):
-    """Motion under a command, with its derivatives.
+    """Positions and velocities at the samples under a command, each of shape (batch, samples, nv), with derivatives.
 
     Attributes:
-        qpos: Positions at the samples, of shape (batch, samples, nv).
-        qvel: Velocities, of the same shape.
         slopes: Derivatives of positions and velocities after the first sample of each complete segment, with respect to
             the coordinates and the segment's initial positions and velocities, of shape (segments, tangents, batch,
             length, nv, 2).
@@ -81,10 +79,10 @@ class Information(NamedTuple):
     @property
     def covariance(self) -> Float[Array, "batch coordinates coordinates"]:
         """Covariance H^-1 S H^-1 of the estimated coordinates."""
-        own = jnp.sqrt(jnp.diagonal(self.hessian, axis1=1, axis2=2))
-        own = jnp.where(own > 0, own, 1.0)
-        scale = own[:, :, None] * own[:, None, :]
-        inverse = jnp.linalg.inv(self.hessian / scale + _NOTHING * jnp.eye(own.shape[1])) / scale
+        root = jnp.sqrt(jnp.diagonal(self.hessian, axis1=1, axis2=2))
+        root = jnp.where(root > 0, root, 1.0)
+        scale = root[:, :, None] * root[:, None, :]
+        inverse = jnp.linalg.inv(self.hessian / scale + _NOTHING * jnp.eye(root.shape[1])) / scale
         return inverse @ self.spread @ inverse
 
 
@@ -93,12 +91,8 @@ class Sensitivity:
     """A drive with a fit of segments from measured initial states, as in `Objective`.
 
     Attributes:
-        space: The parameters to identify.
-        rollout: The simulated drive.
-        sampling: Sampling of the recording.
         length: Sample intervals in a segment.
         weights: Weights of squared position and velocity errors in the loss.
-        noise: Noise of the sensors.
     """
 
     space: Space
@@ -115,16 +109,13 @@ class Sensitivity:
     def look(self, vector: Array, home: Float[np.ndarray, "nv"], signals: Signals, load: Array) -> Sensed:
         """Simulate recordings from rest, with derivatives.
 
-        Args:
-            vector: Coordinates of the parameters.
-            home: Initial position [rad or m].
-            signals: Commands and inputs, each of shape (batch, history + samples - 1, nv).
-            load: Changes of the MuJoCo model by the payload, of shape (batch, load).
+        `vector` has the parameters' coordinates, `home` is the initial position [rad or m]. The signals have the shape
+        (batch, history + samples - 1, nv), the payload's `load` (batch, load).
         """
         samples = signals.ctrl.shape[1] - self.sampling.history
         count = self.segments(samples + 1)
-        first = self.length * np.arange(count)[:, None]
-        window = first + np.arange(self.sampling.history + self.length)
+        begins = self.length * np.arange(count)[:, None]
+        window = begins + np.arange(self.sampling.history + self.length)
         cut = signals.map(lambda signal: jnp.moveaxis(signal[:, window], 1, 0))
         batch, nv = signals.ctrl.shape[0], signals.ctrl.shape[2]
         seeds = self._seeds(batch, nv, vector.dtype)
@@ -138,20 +129,17 @@ class Sensitivity:
             return (after[:, -1, :, 0], after[:, -1, :, 1]), (after, slopes)
 
         start = jnp.broadcast_to(jnp.asarray(home, vector.dtype), (batch, nv)), jnp.zeros((batch, nv), vector.dtype)
-        # The reverse sweep stores only states and simulates each segment again, to save memory.
+        # To save memory, the reverse sweep stores only states and simulates each segment again.
         end, (after, slopes) = jax.lax.scan(jax.checkpoint(segment), start, cut)
         parts = [jnp.stack(start, axis=-1)[:, None], jnp.moveaxis(after, 0, 1).reshape(batch, -1, nv, 2)]
-        if samples > count * self.length:  # the rest fills no segment and adds no information, but must keep the limits
+        if samples > count * self.length:  # an incomplete segment adds no information, but must keep the limits
             last = signals.map(lambda signal: signal[:, count * self.length :])
             parts.append(jnp.stack(self.rollout(self.space.values(vector), *end, last, load), axis=-1))
-        whole = jnp.concatenate(parts, axis=1)
-        return Sensed(whole[..., 0], whole[..., 1], slopes)
+        states = jnp.concatenate(parts, axis=1)
+        return Sensed(states[..., 0], states[..., 1], slopes)
 
     def half_widths(self, information: Information, segments: int) -> Float[np.ndarray, "batch coordinates"]:
-        """Return half of each 95 % confidence interval in the optimiser's coordinates, as in `estimate_uncertainty`.
-
-        NaN for a parameter without effect.
-        """
+        """Return half of each 95 % interval in coordinates, as in `estimate_uncertainty`; NaN without effect."""
         quantile = scipy.special.stdtrit(max(min(segments, MOST_STRETCHES) - 1, 1), (1 + LEVEL) / 2)
         variances = np.diagonal(np.asarray(information.covariance), axis1=1, axis2=2)
         effect = np.diagonal(np.asarray(information.hessian), axis1=1, axis2=2) > 0
@@ -172,8 +160,8 @@ def inform(
 ) -> Information:
     """Compute the information of a fit with white noise in all samples.
 
-    J and P are the derivatives of a segment's states by the coordinates and by its initial state, W the weights, and
-    n a sample's noise with variances V. A step of the fit is H^-1 s with
+    J and P are the derivatives of a segment's states by the coordinates and by its initial state, W the weights, and n
+    a sample's noise with variances V. A step of the fit is H^-1 s with
 
         H = sum J' W J,   s = sum J' W (n - P n_0)
 
@@ -182,11 +170,6 @@ def inform(
 
     Source: G. Goodwin, R. Payne, "Dynamic System Identification: Experiment Design and Data Analysis", 1977, for
     experiment design by information.
-
-    Args:
-        slopes: Derivatives, as in `Sensed`.
-        weights: Weights of squared position and velocity errors.
-        noise: Noise of the sensors.
     """
     count = slopes.shape[1] - 2 * slopes.shape[4]
     variances = jnp.asarray(noise.variances)
@@ -197,8 +180,8 @@ def inform(
     start = -jnp.einsum("sibtjk,shbtjk->sbih", weighed, by_state)
     start = jnp.moveaxis(start.reshape(*start.shape[:3], 2, -1), 3, 4)
     last = jnp.moveaxis(weighed[:, :, :, -1], 1, 2)
-    nothing = jnp.zeros_like(last[:1])
-    edge = jnp.concatenate([start, nothing]) + jnp.concatenate([nothing, last])
+    zeros = jnp.zeros_like(last[:1])
+    edge = jnp.concatenate([start, zeros]) + jnp.concatenate([zeros, last])
     inner = weighed[:, :, :, :-1]
     spread = jnp.einsum("sibtjk,shbtjk,k->bih", inner, inner, variances)
     spread += jnp.einsum("sbijk,sbhjk,k->bih", edge, edge, variances)
@@ -206,13 +189,13 @@ def inform(
 
 
 def relative(space: Space, vector: np.ndarray, half: np.ndarray) -> Mapping[str, tuple[float, float, float]]:
-    """Return the value, half its interval in its unit, and that as a share of the value, by the coordinate's label.
+    """Return the value, half its interval in its unit, and that half as a share of the value, by coordinate label.
 
     Half an interval is the larger of the two distances from the value to its ends. The share is NaN for a value of 0.
     """
     ends = space.pick(space.physical(np.stack([vector, vector - half, vector + half], axis=1)))
-    found = {}
+    by_label = {}
     for label, (value, low, high) in ends.items():
         width = max(value - low, high - value)
-        found[label] = (float(value), float(width), float(width / abs(value)) if value else float("nan"))
-    return found
+        by_label[label] = (float(value), float(width), float(width / abs(value)) if value else float("nan"))
+    return by_label

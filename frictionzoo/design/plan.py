@@ -74,16 +74,11 @@ class Plan:
             raise ConfigError(f"seconds={self.seconds:g}: expected more than both ramps of {self.ramp:g} s")
 
     def series(self, interval: float, length: int) -> Series:
-        """Return the series of the command, with a whole number of segments in each period.
-
-        Args:
-            interval: Time between samples [s].
-            length: Sample intervals in a segment.
-        """
+        """Return the command's series for an interval [s], with a whole number of segments of `length` in a period."""
         samples, ramp = round(self.seconds / interval) + 1, max(round(self.ramp / interval), 1)
-        between = samples - 1 - 2 * ramp
-        times = max(1, -(-between // max(round(self.period / interval), 1)))
-        period = max(1, between // (times * length)) * length
+        inner = samples - 1 - 2 * ramp
+        periods = max(1, -(-inner // max(round(self.period / interval), 1)))
+        period = max(1, inner // (periods * length)) * length
         return Series(samples, interval, period, ramp, self.bandwidth)
 
 
@@ -92,9 +87,6 @@ class Request:
     """All options of an experiment design.
 
     Attributes:
-        plan: Options of the command.
-        noise: Noise of the sensors.
-        search: Options of the search.
         limits: `position`, `velocity`, `torque`, and `home` if given, as the user wrote them.
         inputs: Further inputs of the actuator model, by name.
         settings: Settings of a run, with the bench and the friction model.
@@ -109,33 +101,31 @@ class Request:
 
     @classmethod
     def read(cls, options: Mapping[str, str], run: FittedDrive | None) -> "Request":
-        """Read the options.
-
-        Args:
-            options: Options by name, as text.
-            run: The run of the drive; None: the options choose the drive.
+        """Read the options, given as text by name; without a run they choose the drive.
 
         Raises:
             ConfigError: An option is missing, unknown or invalid.
         """
-        rest = dict(options)
-        plan, noise, search = _take(Plan, rest), _take(Noise, rest), _take(Search, rest)
-        limits = {name: _parse(name, rest.pop(name)) for name in (*LIMITS, "home") if name in rest}
+        remaining = dict(options)
+        plan, noise, search = _take(Plan, remaining), _take(Noise, remaining), _take(Search, remaining)
+        limits = {name: _parse(name, remaining.pop(name)) for name in (*LIMITS, "home") if name in remaining}
         for name in LIMITS:
             if name not in limits:
                 raise ConfigError(f"{name} is missing; state what the drive may do: position=1.5 velocity=4 torque=2")
-        inputs = {name: _number(name, rest.pop(name)) for name in [*rest] if name.startswith(_INPUTS)}
+        inputs = {name: _number(name, remaining.pop(name)) for name in [*remaining] if name.startswith(_INPUTS)}
         named = {name.removeprefix(_INPUTS): value for name, value in inputs.items()}
-        return cls(plan, noise, search, limits, named, _settle(rest, run))
+        return cls(plan, noise, search, limits, named, _settle(remaining, run))
 
 
 def _settle(options: Mapping[str, str], run: FittedDrive | None) -> dict[str, Any]:
     """Return the settings of the run, or of the chosen configuration files, with these options applied."""
     chosen = {name: value for name, value in options.items() if name in _GROUPS}
-    own = [field.name for part in (Plan, Noise, Search) for field in fields(part)]
+    names = [field.name for part in (Plan, Noise, Search) for field in fields(part)]
     for name in options:
-        if name not in _GROUPS and not f"{name}.".startswith(tuple(f"{each}." for each in _OF_A_RUN)):
-            raise ConfigError(f"{name}: unknown option; {closest(name, [*LIMITS, 'home', *own, *_OF_A_RUN, 'output'])}")
+        if name not in _GROUPS and not f"{name}.".startswith(tuple(f"{option}." for option in _OF_A_RUN)):
+            raise ConfigError(
+                f"{name}: unknown option; {closest(name, [*LIMITS, 'home', *names, *_OF_A_RUN, 'output'])}"
+            )
     for group, name in chosen.items():
         if run is not None:
             raise ConfigError(f"{group}={name}: {run.place} has chosen it; leave it out")
@@ -163,12 +153,12 @@ def segment_length(settings: Mapping[str, Any], interval: float) -> int:
 
 def _take(part: type[Part], options: dict[str, str]) -> Part:
     """Read a part of the request and remove its options from `options`."""
-    found = {}
+    arguments = {}
     for field in fields(part):
         if field.name in options:
             text, kind = options.pop(field.name), cast(type, field.type)
-            found[field.name] = text if kind is str else _number(field.name, text, kind)
-    return part(**found)
+            arguments[field.name] = text if kind is str else _number(field.name, text, kind)
+    return part(**arguments)
 
 
 def _number(name: str, text: str, kind: type = float) -> Any:

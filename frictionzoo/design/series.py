@@ -64,8 +64,8 @@ class Series:
     @property
     def shortened(self) -> "Series":
         """First ramp and one period, which represents all others; the series itself if it has only one."""
-        once = self.ramp + self.period + 1
-        return self if self.samples < once + self.period else replace(self, samples=once, ends=False)
+        count = self.ramp + self.period + 1
+        return self if self.samples < count + self.period else replace(self, samples=count, ends=False)
 
     @property
     def steady(self) -> int:
@@ -95,9 +95,9 @@ class Series:
         self, xp: Any, coefficients: Float[Any, "... nv coefficients"], home: Float[np.ndarray, "nv"]
     ) -> tuple[Any, Any]:
         """Return position [rad or m] and velocity [rad/s or m/s] of the command, of shape (..., samples, nv)."""
-        once = coefficients @ xp.asarray(self.basis)
-        moved = xp.moveaxis(once, -1, -2)[..., self.place, :] * self.window[:, None]
+        one_period = coefficients @ xp.asarray(self.basis)
+        moved = xp.moveaxis(one_period, -1, -2)[..., self.place, :] * self.window[:, None]
         step = self.interval
         inner = (moved[..., 2:, :] - moved[..., :-2, :]) / (2 * step)
-        still = xp.zeros_like(moved[..., :1, :])  # at rest at both ends
-        return home + moved, xp.concatenate([still, inner, still], axis=-2)
+        at_rest = xp.zeros_like(moved[..., :1, :])  # at rest at both ends
+        return home + moved, xp.concatenate([at_rest, inner, at_rest], axis=-2)

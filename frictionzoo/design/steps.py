@@ -26,21 +26,16 @@ def list_steps(
 ) -> list[dict[str, str]]:
     """List purpose and shell command of each step, in order.
 
-    Args:
-        options: Options of the design, as text.
-        run: Folder of the run of the drive; None: no run.
-        settings: Settings of a run, with bench and friction model.
-        bench: The test stand.
-        model: The friction model.
-        length: Sample intervals in a segment of the fit.
+    `options` are those of the design, as text; `run` is the folder of the drive's run; `settings` are those of a run,
+    with bench and friction model; `length` counts the sample intervals in a segment of the fit.
     """
-    asked = {**options, "seed": str(int(options.get("seed", "0")) + 1), "output": "excitation_test"}
-    again = [*([run] if run else []), *(f"{name}={value}" for name, value in asked.items())]
+    test_options = {**options, "seed": str(int(options.get("seed", "0")) + 1), "output": "excitation_test"}
+    arguments = [*([run] if run else []), *(f"{name}={value}" for name, value in test_options.items())]
     fit = shlex.join(
         [*_list_drive_options(settings), *_choose_law(bench, model), "fit=lm", f"segments.length={length}"]
     )
     steps = {
-        "Another command, to test on": shlex.join(["python", "-m", "frictionzoo.design", *again]),
+        "Another command, to test on": shlex.join(["python", "-m", "frictionzoo.design", *arguments]),
         "Look at the recordings": "frictionzoo inspect a.csv b.csv",
         "Fit them, with the segments of the design": f"python -m frictionzoo.run data=files {_RECORDED} {fit}",
     }
@@ -50,7 +45,7 @@ def list_steps(
 def _choose_law(bench: Bench, model: FrictionModel) -> list[str]:
     if not isinstance(model, ByJoint):
         return [f"model={model.name}"]
-    laws = {name: model.of_joint(at)[0].name for at, name in enumerate(bench.joints)}
+    laws = {name: model.of_joint(index)[0].name for index, name in enumerate(bench.joints)}
     return ["model=by_joint", f"model.laws={{{', '.join(f'{name}: {law}' for name, law in laws.items())}}}"]
 
 
@@ -64,11 +59,11 @@ def _differ(wanted: Mapping[str, Any], bench: str) -> list[str]:
     """List the options that this bench file needs; options chosen by a recipe stay open."""
     chosen = [f"bench={bench}"] if bench else []
     composed = OmegaConf.to_container(compose_config("data=files", "recipe=given", *chosen), resolve=True)
-    has = dict(_list_leaves(cast(dict[str, Any], composed)))
+    present = dict(_list_leaves(cast(dict[str, Any], composed)))
     return chosen + [
-        f"{'' if name in has else '+'}{name}={_write(value)}"
+        f"{'' if name in present else '+'}{name}={_write(value)}"
         for name, value in wanted.items()
-        if name not in has or has[name] != value
+        if name not in present or present[name] != value
     ]
 
 

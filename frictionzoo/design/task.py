@@ -31,12 +31,8 @@ class Task:
     """A drive and its planned fit.
 
     Attributes:
-        bench: The test stand.
-        model: The friction model.
-        drive: Simulation of both.
-        sensitivity: The planned fit.
         vector: Coordinates of the assumed parameters.
-        constants: Constant inputs of the actuator model by name, each of shape (nv,).
+        constants: Constant inputs of the actuator model by name.
         load: Changes of the MuJoCo model by the payload.
     """
 
@@ -51,18 +47,15 @@ class Task:
     @property
     def values(self) -> dict[str, dict[str, Any]]:
         """Values of all parameters, by owner and name."""
-        found = self.sensitivity.space.values(jnp.asarray(self.vector))
-        return {owner: {name: np.asarray(value) for name, value in own.items()} for owner, own in found.items()}
+        arrays = self.sensitivity.space.values(jnp.asarray(self.vector))
+        return {owner: {name: np.asarray(value) for name, value in named.items()} for owner, named in arrays.items()}
 
     def signals(self, xp: Any, ctrl: Any, speed: Any) -> Signals:
         """Return the signals from each sample but the last on, with the history before the first that a delay needs.
 
-        Args:
-            xp: Array namespace.
-            ctrl: Commanded position [rad or m], of shape (batch, samples, nv).
-            speed: Its derivative [rad/s or m/s].
+        `ctrl` is the commanded position [rad or m] and `speed` its derivative, both of shape (batch, samples, nv).
         """
-        given = {"ctrl_velocity": speed, **self.constants}
+        inputs = {"ctrl_velocity": speed, **self.constants}
 
         def lengthen(signal: Any) -> Any:
             signal = xp.broadcast_to(signal, ctrl.shape)[:, :-1]
@@ -70,7 +63,7 @@ class Task:
 
         names = self.bench.actuator.inputs
         observed = {name: lengthen(xp.asarray(value)) for name, value in self.bench.observed.items()}
-        return Signals(lengthen(ctrl), {name: lengthen(given[name]) for name in names}, observed)
+        return Signals(lengthen(ctrl), {name: lengthen(inputs[name]) for name in names}, observed)
 
     def see(self, ctrl: Array, speed: Array, home: Float[np.ndarray, "nv"], steady: int = 0) -> Seen:
         """Simulate commands of shape (batch, samples, nv), with their information; differentiable, to be compiled.
@@ -109,11 +102,11 @@ class Task:
         steps = acting.map(lambda signal: np.asarray(signal, np.float64).reshape(1, -1, self.bench.nv))
         start = Cases(home[None], np.zeros((1, self.bench.nv)), steps, self.load[None])
         qpos, qvel, torque = simulate_in_c(self.bench, self.model, values, start)[:, 0]
-        held, rate = (np.repeat(signal[:-1], sampling.substeps, axis=0) for signal in (ctrl, speed))
+        ctrl_in_steps, speed_in_steps = (np.repeat(signal[:-1], sampling.substeps, axis=0) for signal in (ctrl, speed))
         sampled = [
-            np.concatenate([first, after])[:: sampling.substeps]
-            for first, after in ((start.qpos, qpos), (start.qvel, qvel))
+            np.concatenate([initial, later])[:: sampling.substeps]
+            for initial, later in ((start.qpos, qpos), (start.qvel, qvel))
         ]
         torques = torque[:: sampling.substeps]
-        whole = Motion(held, rate, qpos, qvel, torque)
-        return Motion(ctrl, speed, sampled[0], sampled[1], np.concatenate([torques, torques[-1:]])), whole
+        motion_in_steps = Motion(ctrl_in_steps, speed_in_steps, qpos, qvel, torque)
+        return Motion(ctrl, speed, sampled[0], sampled[1], np.concatenate([torques, torques[-1:]])), motion_in_steps

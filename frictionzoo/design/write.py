@@ -27,23 +27,17 @@ def table(joints: Sequence[str], time: Signal, signals: Mapping[str, Float[np.nd
 
 
 def trajectory(joints: Sequence[str], time: Signal, motion: Motion, interval: float) -> bytes:
-    """Write the command as `trajectory_msgs/JointTrajectory` in YAML, for `ros2 topic pub`.
+    """Write the command as `trajectory_msgs/JointTrajectory` in YAML, with a point each `interval` [s].
 
-    Each point has position, velocity and acceleration; `joint_trajectory_controller` interpolates by polynomials of
-    fifth degree.
-
-    Args:
-        joints: Names of the joints.
-        time: Time of the command's samples [s].
-        motion: The command.
-        interval: Time between points [s].
+    Each point has position, velocity and acceleration; `ros2 topic pub` publishes it, and `joint_trajectory_controller`
+    interpolates by polynomials of fifth degree.
     """
     acceleration = np.gradient(motion.speed, time, axis=0)
-    at = np.minimum(interval * np.arange(int(np.ceil(time[-1] / interval - 1e-9)) + 1), time[-1])
+    times = np.minimum(interval * np.arange(int(np.ceil(time[-1] / interval - 1e-9)) + 1), time[-1])
     parts = {"positions": motion.ctrl, "velocities": motion.speed, "accelerations": acceleration}
-    points = {name: _sample(at, time, signal) for name, signal in parts.items()}
+    points = {name: _sample(times, time, signal) for name, signal in parts.items()}
     lines = [f"joint_names: {write_yaml(list(joints))}", "points:"]
-    for index, seconds in enumerate(at.tolist()):
+    for index, seconds in enumerate(times.tolist()):
         ticks = round(1e9 * seconds)
         row = {name: values[index].tolist() for name, values in points.items()}
         row["time_from_start"] = {"sec": ticks // 10**9, "nanosec": ticks % 10**9}
@@ -53,8 +47,8 @@ def trajectory(joints: Sequence[str], time: Signal, motion: Motion, interval: fl
 
 def actions(joints: Sequence[str], time: Signal, motion: Motion, fps: float) -> bytes:
     """Write the command as a JSON list of actions, one for each frame, with LeRobot's names: `knee.pos`."""
-    at = np.arange(int(time[-1] * fps + 1e-9) + 1) / fps
-    rows = _sample(at, time, motion.ctrl).tolist()
+    times = np.arange(int(time[-1] * fps + 1e-9) + 1) / fps
+    rows = _sample(times, time, motion.ctrl).tolist()
     named = [dict(zip((f"{joint}.pos" for joint in joints), row, strict=True)) for row in rows]
     lines = ",\n".join(json.dumps(row) for row in named)
     return f'{{"fps": {fps:g}, "actions": [\n{lines}\n]}}\n'.encode()
@@ -65,13 +59,8 @@ def files_of(
 ) -> dict[str, bytes]:
     """Write all files of a command; return their content by name.
 
-    Args:
-        joints: Names of the joints.
-        interval: Time between samples [s].
-        motion: The command and its expected motion.
-        given: Further commands of the actuator model by name, of shape (samples, nv).
-        points: Trajectory points per second.
-        fps: Actions per second.
+    `interval` is in s; `given` are further commands of the actuator model, of shape (samples, nv); `points` and `fps`
+    are per second.
     """
     time = interval * np.arange(len(motion.ctrl))
     command = {"ctrl": motion.ctrl, **given}

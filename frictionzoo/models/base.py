@@ -26,8 +26,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     """Friction model: a torch module that owns its parameters, with one formula over an array namespace.
 
     A model declares its physical parameters in `dimensions`. They become `torch.nn.Parameter`s of shape (nv,) in SI
-    units, so a saved state contains physical values. Any other registered parameter, such as the weights of a network,
-    is optimised directly, without bounds.
+    units, so a saved state contains physical values. Any other registered parameter, such as a network's weights, is
+    optimised directly, without bounds.
 
     Attributes:
         name: Name of the model, set by `register_model`.
@@ -39,8 +39,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             at constant velocity, because a deflected spring returns energy.
         inputs: Signals that the model reads in addition to the state, each with the value that applies if the
             recordings lack it. Each is a field of `DriveState` that recordings have among their extras.
-        contains: Nested models by name, with the parameter values at which this model equals them. Parameters that
-            only this model has, and that are not listed, have no effect then.
+        contains: Nested models by name, with the parameter values at which this model equals them. Parameters that only
+            this model has, and that are not listed, have no effect then.
         valleys: Parameters over which the loss is known to have several minima, with the multiples of the initial value
             from which a search also starts.
         memory: Number of memory values per joint, carried from step to step; 0 for a function of the present state.
@@ -51,10 +51,6 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             between the two; `load`, `position`, `temperature`; `reversal`, friction depends on how long ago the motion
             reversed. A run's verdict uses it to suggest a model with a missing term, never one with empty `sees`.
         params: Initial value, bounds and scale of each physical parameter.
-
-    Args:
-        nv: Number of joints.
-        params: See `Params`.
 
     Raises:
         ConfigError: There is no joint, or a parameter is missing, unknown, or has invalid bounds.
@@ -87,11 +83,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         return self.nv * (self.constraint,)
 
     def of_joint(self, joint: int) -> tuple["FrictionModel", int, str]:
-        """Return a joint's model, the joint's index in that model, and the prefix of that model's names in `values`.
-
-        Args:
-            joint: Index of the joint.
-        """
+        """Return a joint's model, its index in that model, and the prefix of that model's names in `values`."""
         return self, joint, ""
 
     def begin(self, values: Mapping[str, Any]) -> None:
@@ -126,10 +118,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         """
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """Return the memory at the start of a simulation, of shape (..., nv, memory): as if this state had long lasted.
-
-        The arguments are as in `terms`.
-        """
+        """Return the memory, of shape (..., nv, memory), as if this state had long lasted; arguments as in `terms`."""
         return xp.zeros((*state.qvel.shape, self.memory))
 
     def advance(
@@ -143,13 +132,11 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         return self.terms(xp, values, state), memory
 
     def prepare(self, samples: DriveState) -> None:
-        """Take constants, such as a normalisation, from the training data; most models need none.
+        """Take constants, such as a normalisation, from training samples of shape (samples, nv), in numpy.
 
-        An identification calls it before it reads the model's values. The model may already have been fitted: set
-        constants on which other values depend, such as weights, only once, and keep them in later calls.
-
-        Args:
-            samples: Training samples as numpy arrays of shape (samples, nv).
+        Most models need none. An identification calls it before it reads the model's values. The model may already have
+        been fitted: set constants on which other values depend, such as weights, only once, and keep them in later
+        calls.
         """
 
     def forward(self, state: DriveState) -> FrictionTerms:
@@ -160,10 +147,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
 def sliding_torque(xp: Any, terms: FrictionTerms, qvel: Any) -> Any:
     """Return the total friction torque of a sliding joint, positive against positive velocity [N m or N].
 
-    Args:
-        xp: Array namespace, `numpy`, `torch` or `jax.numpy`.
-        terms: The model's terms, arrays that broadcast to the shape of the velocity, or None.
-        qvel: Velocity [rad/s or m/s].
+    `xp` is `numpy`, `torch` or `jax.numpy`. The terms broadcast to the shape of the velocity, or are None.
     """
     torque, frictionloss, damping = (xp.zeros_like(qvel) if term is None else term for term in terms)
     return torque + frictionloss * xp.sign(qvel) + damping * qvel

@@ -12,19 +12,16 @@ def settled_force(xp: Any, state: DriveState, limit: Any, rest_velocity: Any) ->
     """Return the dry friction [N m or N] of a drive that has long been in this state.
 
     At rest it balances actuator and external torque, up to the limit; in motion it equals the limit and opposes the
-    motion. The transition is at the rest velocity [rad/s or m/s], below about which a joint may stand still although
-    its measured velocity is not 0.
+    motion. The transition is at the rest velocity [rad/s or m/s]: below about this velocity a joint may stand still
+    although its measured velocity is not 0.
     """
-    asked = state.motor_torque + state.external_torque
-    held = xp.minimum(xp.maximum(asked, -limit), limit)
-    return settled(xp, state.qvel, rest_velocity, held, limit)
+    load = state.motor_torque + state.external_torque
+    holding = xp.minimum(xp.maximum(load, -limit), limit)
+    return settled(xp, state.qvel, rest_velocity, holding, limit)
 
 
 def settled(xp: Any, qvel: Any, rest_velocity: Any, held: Any, sliding: Any) -> Any:
-    """Return the settled memory at this velocity [rad/s or m/s]: `held` at rest, `sliding` in motion.
-
-    `sliding` gets the sign of the velocity; for the rest velocity see `settled_force`.
-    """
+    """Return the settled memory: `held` at rest, `sliding` with the velocity's sign in motion; see `settled_force`."""
     share = qvel / rest_velocity
     slides = 1 - xp.exp(-xp.square(share))
     return (1 - slides) * held + slides * sliding * xp.tanh(share)
@@ -69,9 +66,8 @@ def bend(
 ) -> tuple[FrictionTerms, Any]:
     """Return the bristle torque at the end of a step, and the deflection in this state.
 
-    The bristles yield at `limit` [N m or N]:
-    z' = v - s |v| z / limit, torque = s z + c z' + d v, with the stiffness s, the micro-damping c [N m s/rad or N s/m],
-    the viscous coefficient d and the length of the step `timestep` [s].
+    The bristles yield at `limit` [N m or N]: z' = v - s |v| z / limit, torque = s z + c z' + d v, with the stiffness s,
+    the micro-damping c [N m s/rad or N s/m], the viscous coefficient d and the length of the step `timestep` [s].
     """
     stiffness = values["stiffness"]
     rate = stiffness * xp.abs(state.qvel) / limit

@@ -64,9 +64,9 @@ class ByJoint(FrictionModel):
             return
         if len(laws) != nv:
             raise ConfigError(f"model.laws: {len(laws)} laws, expected {nv}, one a joint; or go by patterns of names")
-        first = [list(laws).index(law) for law in laws]
-        groups = {at: [joint for joint in range(nv) if first[joint] == at] for at in first}
-        self._take([(f"[{at}]", laws[at]) for at in groups], [*groups.values()])
+        first_index = [list(laws).index(law) for law in laws]
+        groups = {index: [joint for joint in range(nv) if first_index[joint] == index] for index in first_index}
+        self._take([(f"[{index}]", laws[index]) for index in groups], [*groups.values()])
 
     @property
     def laws(self) -> tuple[FrictionModel, ...]:
@@ -79,14 +79,14 @@ class ByJoint(FrictionModel):
             raise ConfigError(
                 "model.laws: patterns of joints' names, but it does not know them; call bind(bench.joints)"
             )
-        found: Any = tuple(self.get_submodule(label) for label in self.labels)
-        return found
+        models: Any = tuple(self.get_submodule(label) for label in self.labels)
+        return models
 
     @property
     def constrained(self) -> tuple[bool, ...]:
         """See `FrictionModel`."""
-        own = {j: law.constraint for law, joints in zip(self.laws, self.members, strict=True) for j in joints}
-        return tuple(own.get(joint, False) for joint in range(self.nv))
+        by_joint = {j: law.constraint for law, joints in zip(self.laws, self.members, strict=True) for j in joints}
+        return tuple(by_joint.get(joint, False) for joint in range(self.nv))
 
     def of_joint(self, joint: int) -> tuple[FrictionModel, int, str]:
         """See `FrictionModel.of_joint`."""
@@ -103,8 +103,8 @@ class ByJoint(FrictionModel):
             groups = _assign([*self._sections], joints)
             if not self.labels:
                 self._take([*self._sections.items()], groups)
-        for law, own in zip(self.laws, self.members, strict=True):
-            law.bind([joints[joint] for joint in own])
+        for law, members in zip(self.laws, self.members, strict=True):
+            law.bind([joints[joint] for joint in members])
         self._gather()
 
     def begin(self, values: Mapping[str, Any]) -> None:
@@ -129,9 +129,9 @@ class ByJoint(FrictionModel):
         """Return the memory of each joint's model, padded with 0 to the largest memory."""
         parts = []
         for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
-            seen = _seen(state, joints, len(self.members))
-            held = law.settle(xp, _own(values, label), seen)
-            parts.append(_fill(xp, held, self.memory - width, seen))
+            part = _seen(state, joints, len(self.members))
+            law_memory = law.settle(xp, _own(values, label), part)
+            parts.append(_fill(xp, law_memory, self.memory - width, part))
         return _join(xp, parts, self.order, -2)
 
     def advance(
@@ -140,14 +140,13 @@ class ByJoint(FrictionModel):
         """Advance each joint's model by one step."""
         parts, after = [], []
         for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
-            seen, held = _seen(state, joints, len(self.members)), memory[..., np.array(joints), :width]
-            terms, held = law.advance(xp, _own(values, label), seen, held, timestep)
+            part, law_memory = _seen(state, joints, len(self.members)), memory[..., np.array(joints), :width]
+            terms, law_memory = law.advance(xp, _own(values, label), part, law_memory, timestep)
             parts.append(terms)
-            after.append(_fill(xp, held, self.memory - width, seen))
+            after.append(_fill(xp, law_memory, self.memory - width, part))
         return _join_terms(xp, parts, self.members, self.order, state), _join(xp, after, self.order, -2)
 
     def _take(self, laws: Sequence[tuple[str, Section]], groups: Sequence[Sequence[int]]) -> None:
-        """Make the model of each group of joints."""
         made = [_make(option, section, len(joints)) for (option, section), joints in zip(laws, groups, strict=True)]
         self.labels = _label([law.name for law in made])
         self.members = tuple(map(tuple, groups))
@@ -165,7 +164,6 @@ class ByJoint(FrictionModel):
         self._gather()
 
     def _gather(self) -> None:
-        """Collect the parameters of all models, each for the joints of its model."""
         self.params = {
             f"{label}.{name}": replace(param, joints=joints if len(joints) < self.nv else None)
             for label, joints, law in zip(self.labels, self.members, self.laws, strict=True)
@@ -201,8 +199,8 @@ def _assign(patterns: Sequence[str], joints: Sequence[str]) -> list[list[int]]:
                 f"model.laws: no pattern of {', '.join(patterns)} fits {joint}; add one, such as '.*', last"
             )
         groups[fitting[0]].append(index)
-    for pattern, own in groups.items():
-        if not own:
+    for pattern, members in groups.items():
+        if not members:
             taken = [joint for joint in joints if fits(pattern, joint, "model.laws")]
             why = f"{taken[0]} has the law of a pattern before it; put it first" if taken else closest(pattern, joints)
             raise ConfigError(f"model.laws: {pattern}: no joint for it; {why}, or leave it out")
@@ -211,10 +209,10 @@ def _assign(patterns: Sequence[str], joints: Sequence[str]) -> list[list[int]]:
 
 def _label(names: Sequence[str]) -> tuple[str, ...]:
     """Return each model's name, numbered from 1 if several models have the same name."""
-    count, seen, labels = Counter(names), Counter[str](), []
+    count, used, labels = Counter(names), Counter[str](), []
     for name in names:
-        seen[name] += 1
-        labels.append(name if count[name] == 1 else f"{name}_{seen[name]}")
+        used[name] += 1
+        labels.append(name if count[name] == 1 else f"{name}_{used[name]}")
     return tuple(labels)
 
 
@@ -232,12 +230,12 @@ def _merge_inputs(laws: Sequence[FrictionModel]) -> dict[str, float]:
 
 
 def _own(values: Values, label: str) -> dict[str, Any]:
-    """Return the values of one model under that model's names."""
+    """Return one model's values under that model's names."""
     return {name[len(label) + 1 :]: value for name, value in values.items() if name.startswith(label + ".")}
 
 
 def _seen(state: DriveState, joints: Sequence[int], groups: int) -> DriveState:
-    """Return the state of these joints, which are one of `groups` groups."""
+    """Return the state of these joints, one of `groups` groups."""
     if groups == 1:
         return state
     return type(state)(*(None if signal is None else signal[..., np.array(joints)] for signal in state))
@@ -249,25 +247,24 @@ def _join_terms(
     """Join the terms of all groups; a term that no model uses stays None."""
     if len(parts) == 1:
         return parts[0]
-    found = []
-    for given in zip(*parts, strict=True):
-        if all(term is None for term in given):
-            found.append(None)
+    joined = []
+    for group_terms in zip(*parts, strict=True):
+        if all(term is None for term in group_terms):
+            joined.append(None)
             continue
         zeros = [xp.zeros_like(state.qvel[..., np.array(joints)]) for joints in members]
-        whole = [none if term is None else term + none for term, none in zip(given, zeros, strict=True)]
-        found.append(_join(xp, whole, order, -1))
-    return FrictionTerms(*found)
+        filled = [zero if term is None else term + zero for term, zero in zip(group_terms, zeros, strict=True)]
+        joined.append(_join(xp, filled, order, -1))
+    return FrictionTerms(*joined)
 
 
 def _join(xp: Any, parts: Sequence[Any], order: Sequence[int], axis: int) -> Any:
     """Join the groups' arrays into one of all joints, in their order."""
     if len(parts) == 1:
         return parts[0]
-    whole = xp.concatenate(parts, axis)
-    return whole[..., np.array(order)] if axis == -1 else whole[..., np.array(order), :]
+    joined = xp.concatenate(parts, axis)
+    return joined[..., np.array(order)] if axis == -1 else joined[..., np.array(order), :]
 
 
 def _fill(xp: Any, memory: Any, missing: int, seen: DriveState) -> Any:
-    """Pad a model's memory with `missing` zeros."""
     return memory if not missing else xp.concatenate([memory, xp.stack(missing * [xp.zeros_like(seen.qvel)], -1)], -1)

@@ -15,10 +15,7 @@ _SHARED = ("scale", "seed")  # options of a job to which the models' files refer
 def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section that makes a model: from its file in `conf/model`, or, without a file, its class alone.
 
-    Args:
-        name: Name of the file, or of a model registered in this program.
-        shared: `scale` and `seed` of a job, if known; other entries are ignored.
-        options: Options of the model that replace the file's.
+    `options` replace those of the file. `shared` has a job's `scale` and `seed`, if known; other entries are ignored.
 
     Raises:
         UnknownModelError: There is no such model.
@@ -28,16 +25,12 @@ def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]
         raise ConfigError(f"{name}: unknown option _target_, which would make it another law; name that law")
     if name not in list_choices("model"):
         return {"_target_": dotted_name(get_model(name)), **options}
-    known = {key: shared[key] for key in _SHARED if key in shared}
-    return complete_laws(compose_settings({**known, "model": options}, f"model={name}")["model"], shared)
+    job = {key: shared[key] for key in _SHARED if key in shared}
+    return complete_laws(compose_settings({**job, "model": options}, f"model={name}")["model"], shared)
 
 
 def complete_laws(section: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
     """Return a model's section; if it has several models, with the complete section of each in place of its name.
-
-    Args:
-        section: Section of any model.
-        shared: As in `law_section`.
 
     Raises:
         UnknownModelError: One of the models does not exist.
@@ -51,7 +44,7 @@ def complete_laws(section: Mapping[str, Any], shared: Mapping[str, Any]) -> dict
     if isinstance(laws, Mapping):
         return {**section, "laws": {pattern: _complete(pattern, law, shared) for pattern, law in laws.items()}}
     if isinstance(laws, list | tuple):
-        return {**section, "laws": [_complete(f"[{at}]", law, shared) for at, law in enumerate(laws)]}
+        return {**section, "laws": [_complete(f"[{index}]", law, shared) for index, law in enumerate(laws)]}
     raise ConfigError(f"model.laws={laws!r}; expected the name of a law, or patterns of joints' names with a law each")
 
 

@@ -21,10 +21,6 @@ _TOLERANCE = 1e-3  # relative, for the error of a smooth sign at that speed
 def check_contained(model: FrictionModel, samples: DriveState) -> None:
     """Check that the sliding friction of a model equals each nested model's, at random values of both.
 
-    Args:
-        model: Model that contains others.
-        samples: States to check; each joint slides at least at `_SLIDING`.
-
     Raises:
         ModelError: The friction differs, or `contains` names an unknown parameter.
     """
@@ -36,8 +32,8 @@ def check_contained(model: FrictionModel, samples: DriveState) -> None:
         for _ in range(_DRAWS):
             theirs, ours = _draw(model, law, within, random)
             other = law(model.nv, params={param: list(value) for param, value in theirs.items()})
-            expected, came = (_torque(*pair, sliding) for pair in ((other, theirs), (model, ours)))
-            error = float((np.abs(came - expected) / np.maximum(np.abs(expected), np.finfo(float).tiny)).max())
+            expected, actual = (_torque(*pair, sliding) for pair in ((other, theirs), (model, ours)))
+            error = float((np.abs(actual - expected) / np.maximum(np.abs(expected), np.finfo(float).tiny)).max())
             if not error <= _TOLERANCE:
                 _fail(model, f"slides otherwise than {name} by {error:.3g} of its friction; see the values in contains")
 
@@ -71,7 +67,7 @@ def _draw(
 def _between(model: FrictionModel, name: str, random: np.random.Generator) -> np.ndarray:
     """Return a value near the initial one, because a model may clip near its bounds; a known value stays."""
     param = model.params[name]
-    low, high, init = (param.each(what, model.nv) for what in ("low", "high", "init"))
+    low, high, init = (param.each(field, model.nv) for field in ("low", "high", "init"))
     if not param.is_identified:
         return np.array(init)
     low, high, init = (param.to_coordinate(end, np) for end in (low, high, init))
@@ -79,7 +75,6 @@ def _between(model: FrictionModel, name: str, random: np.random.Generator) -> np
 
 
 def _torque(model: FrictionModel, values: Mapping[str, np.ndarray], samples: DriveState) -> np.ndarray:
-    """Return the friction torque of a sliding model with these values."""
     state = {**model.state_dict(), **{name: torch.tensor(value) for name, value in values.items()}}
     with torch.no_grad():
         terms = as_numpy(model.terms(torch, state, torch_state(samples)).given())

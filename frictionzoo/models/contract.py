@@ -85,7 +85,6 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
 
 
 def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | None = None) -> NoReturn:
-    """Raise an error with the model, the broken clause, and how to repair it."""
     raise ModelError(f"{getattr(type(model), 'name', type(model).__name__)}: {clause}: {message}") from cause
 
 
@@ -104,7 +103,6 @@ def _check_units(model: FrictionModel) -> None:
 
 
 def _check_inputs(model: FrictionModel) -> None:
-    """Check that each input is a signal that recordings can have, with a finite default."""
     recorded = tuple(DriveState._field_defaults)
     for name, value in model.inputs.items():
         if name not in recorded:
@@ -114,7 +112,6 @@ def _check_inputs(model: FrictionModel) -> None:
 
 
 def _check_bounds(model: FrictionModel) -> None:
-    """Check that physical values are within bounds, and all numbers finite."""
     for name, tensor in model.state_dict().items():
         if not torch.isfinite(tensor).all():
             _fail(model, "values", f"{name} is NaN or infinite; give finite values in the constructor and in prepare")
@@ -135,7 +132,6 @@ def _check_bounds(model: FrictionModel) -> None:
 
 
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:
-    """Check the terms' set, array type and shape, for any batch dimensions."""
     for batch in ((), (3,), (2, 3), samples.qvel.shape[:-1]):
         state = samples.map(lambda signal, shape=(*batch, model.nv): np.resize(signal, shape))
         terms = _torch_terms(model, state)
@@ -176,13 +172,13 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
     """Check that equal inputs give equal bits, nothing is written, and numbers come from `values`."""
     values, state = torch_values(model), torch_state(samples)
     before, kept_values, kept_state = torch_values(model), copy.deepcopy(values), copy.deepcopy(state)
-    first = model.terms(torch, values, state).given()
-    if not _equal(first, model.terms(torch, values, state).given()):
+    terms = model.terms(torch, values, state).given()
+    if not _equal(terms, model.terms(torch, values, state).given()):
         _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
     unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
     if not unwritten or not _equal(before, torch_values(model)):
         _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
-    if not _equal(first, _changed(model).terms(torch, values, state).given()):
+    if not _equal(terms, _changed(model).terms(torch, values, state).given()):
         _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
 
 
@@ -219,8 +215,8 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
     def step(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
         memory = model.settle(xp, values, drive)
         terms, after = model.advance(xp, values, drive, memory, TIMESTEP)
-        for name, held in (("settled memory", memory), ("memory", after)):
-            _check_shape(model, name, tuple(held.shape), shape)
+        for name, array in (("settled memory", memory), ("memory", after)):
+            _check_shape(model, name, tuple(array.shape), shape)
         return {**terms.given(), "settled memory": memory, "memory": after}
 
     _check_formula(model, samples, step, "a step", ("memory", "gradient "))
@@ -235,10 +231,7 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
 def _check_formula(
     model: FrictionModel, samples: DriveState, formula: Formula, what: str, gradient: tuple[str, str]
 ) -> list[tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]]:
-    """Check that values agree and gradients are finite; return the gradients of torch and JAX.
-
-    The gradients of JAX are empty for a torch-only model. JAX compiles the formula once for all states.
-    """
+    """Check values and gradients; return the gradients of torch, and of JAX (empty for a torch-only model)."""
     standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
     places = {"on the samples": samples, "at qvel = 0": standstill, NOWHERE: samples.map(np.zeros_like)}
     random, shape = np.random.default_rng(0), samples.qvel.shape
@@ -246,7 +239,7 @@ def _check_formula(
     weights |= {name: random.standard_normal((*shape, model.memory)) for name in ("settled memory", "memory")}
     over_jax = not isinstance(model, TorchFriction)
     in_jax = jax_slopes(model, list(places.values()), formula, weights) if over_jax else None
-    found = []
+    gradients = []
     for place, (where, state) in enumerate(places.items()):
         values, ours = torch_slopes(model, state, formula, weights)
         theirs = {}
@@ -257,25 +250,24 @@ def _check_formula(
             if not np.isfinite(slope).all():
                 clause, start = gradient
                 _fail(model, clause, f"{start}with respect to {name} is not finite {where}; smooth the law there")
-        found.append((where, ours, theirs))
-    return found
+        gradients.append((where, ours, theirs))
+    return gradients
 
 
 def _check_rows(model: FrictionModel, samples: DriveState) -> None:
     """Check that a torch model, called with all segments at once, treats each alone; in JAX `vmap` does."""
     if not isinstance(model, TorchFriction):
         return
-    whole = as_numpy(_torch_terms(model, samples).given())
+    together = as_numpy(_torch_terms(model, samples).given())
     for row in (0, len(samples.qvel) - 1):
         alone = _torch_terms(model, samples.map(lambda signal, row=row: signal[row])).given()
         for name, term in as_numpy(alone).items():
-            error = np.abs(term - np.broadcast_to(whole[name], samples.qvel.shape)[row]).max()
+            error = np.abs(term - np.broadcast_to(together[name], samples.qvel.shape)[row]).max()
             if not error <= TOLERANCE * max(1.0, np.abs(term).max()):
                 _fail(model, "batch", f"{name} of one state changes by {error:.3g} with the others; compute it alone")
 
 
 def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: DriveState) -> None:
-    """Check that a new instance with the loaded state gives the same terms."""
     loaded = _changed(fresh)
     try:
         state = safetensors.torch.load(safetensors.torch.save(prepared.state_dict()))
@@ -301,7 +293,6 @@ def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
 
 
 def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples: DriveState) -> None:
-    """Check that with these values the model adds no energy to the drive."""
     terms = FrictionTerms(**as_numpy(model.terms(torch, values, torch_state(samples)).given()))
     power = sliding_torque(np, terms, samples.qvel) * samples.qvel
     if (power < 0).any():
@@ -317,15 +308,15 @@ def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples:
 
 def _check_sees(model: FrictionModel, samples: DriveState) -> None:
     """Check that `sees`, if not empty, lists exactly the quantities on which the friction depends."""
-    said = {*model.sees}
-    for name in said - {*SEES}:
+    declared = {*model.sees}
+    for name in declared - {*SEES}:
         _fail(model, "sees", f"{name} is nothing that friction changes with; {closest(name, SEES)}")
-    if not said:
+    if not declared:
         return
-    seen = observe(model, samples) | ({"fast"} if "fast" in said and is_curved(model, samples) else set())
-    if said != seen:
-        came, found = (", ".join(sorted(names)) or "nothing" for names in (said, seen))
-        _fail(model, "sees", f"it says {came}, and its friction changes with {found}; say that")
+    observed = observe(model, samples) | ({"fast"} if "fast" in declared and is_curved(model, samples) else set())
+    if declared != observed:
+        declared_names, observed_names = (", ".join(sorted(names)) or "nothing" for names in (declared, observed))
+        _fail(model, "sees", f"it says {declared_names}, and its friction changes with {observed_names}; say that")
 
 
 def _draw_samples(model: FrictionModel) -> DriveState:

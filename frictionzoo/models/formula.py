@@ -48,12 +48,12 @@ def torch_slopes(
     moving = _moving(model, values, drive)
     for tensor in moving.values():
         tensor.requires_grad_()
-    found = formula(torch, values, drive)
-    total = _weighted(found, {name: torch.tensor(weight) for name, weight in weights.items()})
+    result = formula(torch, values, drive)
+    total = _weighted(result, {name: torch.tensor(weight) for name, weight in weights.items()})
     if not isinstance(total, torch.Tensor) or not total.requires_grad:
-        return as_numpy(found), {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
+        return as_numpy(result), {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
     gradient = torch.autograd.grad(total, list(moving.values()), allow_unused=True, materialize_grads=True)
-    return as_numpy(found), as_numpy(dict(zip(moving, gradient, strict=True)))
+    return as_numpy(result), as_numpy(dict(zip(moving, gradient, strict=True)))
 
 
 def jax_slopes(
@@ -64,12 +64,12 @@ def jax_slopes(
     def slopes(values: Values, weights: Values, drive: DriveState) -> tuple[Any, Any]:
         def total(moving: dict[str, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
             moved = drive._replace(**{name: moving[name] for name in drive.given()})
-            found = formula(jnp, {**values, **moving}, moved)
-            return jnp.zeros(()) + _weighted(found, weights), found
+            result = formula(jnp, {**values, **moving}, moved)
+            return jnp.zeros(()) + _weighted(result, weights), result
 
-        gradient, found = jax.grad(total, has_aux=True)(_moving(model, values, drive))
-        return found, gradient
+        gradient, result = jax.grad(total, has_aux=True)(_moving(model, values, drive))
+        return result, gradient
 
-    together = jax.tree.map(lambda *signals: np.stack(signals), *states)
+    stacked = jax.tree.map(lambda *signals: np.stack(signals), *states)
     compiled = jax.jit(jax.vmap(slopes, in_axes=(None, None, 0)))
-    return [as_numpy(part) for part in compiled(as_numpy(torch_values(model)), weights, together)]
+    return [as_numpy(part) for part in compiled(as_numpy(torch_values(model)), weights, stacked)]

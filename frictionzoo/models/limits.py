@@ -27,8 +27,8 @@ def ripple_share(xp: Any, values: Values, qpos: Any) -> Any:
     instead of amplitude and phase keep the limit linear in the parameters: no local minima, no phase jumps.
     """
     phase = values["periods"] * qpos
-    first = values["sine_1"] * xp.sin(phase) + values["cosine_1"] * xp.cos(phase)
-    return first + values["sine_2"] * xp.sin(2 * phase) + values["cosine_2"] * xp.cos(2 * phase)
+    first_harmonic = values["sine_1"] * xp.sin(phase) + values["cosine_1"] * xp.cos(phase)
+    return first_harmonic + values["sine_2"] * xp.sin(2 * phase) + values["cosine_2"] * xp.cos(2 * phase)
 
 
 def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:

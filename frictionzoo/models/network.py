@@ -31,11 +31,9 @@ class NetworkModel(FrictionModel):
         torque_scale: Standard deviation of the actuator torque in the training data [N m or N]; 1 if it is constant.
 
     Args:
-        nv: Number of joints.
         hidden: Width of each hidden layer.
         outputs: Number of network outputs.
         seed: Seed of the initial weights; torch's global generator stays unchanged.
-        params: See `FrictionModel`.
 
     Raises:
         ConfigError: A width or the number of layers is out of bounds; see also `FrictionModel`.

@@ -26,50 +26,34 @@ def observe(model: FrictionModel, samples: DriveState) -> set[str]:
 
     They are found from the sum of all terms while the joint slides: another magnitude of the velocity, a smaller torque
     at a higher speed (`slow`), a torque curve that bends up (`fast`), reversed motion with reversed load, other torques
-    of actuator and load, another position and temperature. A model with memory depends on reversals.
-
-    Args:
-        model: Model with its constants prepared.
-        samples: States, numpy arrays of shape (samples, nv).
+    of actuator and load, another position and temperature. A model with memory depends on reversals. The model is
+    prepared; the samples are numpy arrays of shape (samples, nv).
     """
-    found, state = {"reversal"} if model.memory else set(), _moving(samples)
+    quantities, state = {"reversal"} if model.memory else set(), _moving(samples)
     for values in _draw(model):
-        found |= {what for what, seen in _looks(model, values, state) if seen}
-    return found
+        quantities |= {quantity for quantity, depends in _looks(model, values, state) if depends}
+    return quantities
 
 
 def is_curved(model: FrictionModel, samples: DriveState) -> bool:
-    """Return whether the friction over speed bends up anywhere, which also happens with the Stribeck effect.
-
-    Args:
-        model: The model.
-        samples: As in `observe`.
-    """
+    """Return whether the friction over speed bends up anywhere, which also happens with the Stribeck effect."""
     state = _moving(samples)
     return any(_bends(_speeds(model, values, state, np.linspace(0.1, 3, 15))) for values in _draw(model))
 
 
 def suggest_law(model: FrictionModel, seen: set[str], missing: str) -> tuple[str | None, bool]:
-    """Return a model that has a missing dependency, or has it with more parameters.
+    """Return a model that has a missing dependency, or has it with more parameters, and whether it has all in `seen`.
 
-    Candidates have all other dependencies of the present model. The order prefers models without a network, then the
-    fewest additional dependencies, the same sticking as the present model, and the fewest parameters. Without such a
-    candidate, return the model that has the missing dependency and most of the others.
-
-    Args:
-        model: The present model.
-        seen: Its dependencies.
-        missing: The missing dependency.
-
-    Returns:
-        Name of the model, None if no model has the missing dependency; and whether it has all dependencies of the
-        present one.
+    `seen` are the dependencies of the present model. Candidates have all of them. The order prefers models without
+    a network, then the fewest additional dependencies, the same sticking as the present model, and the fewest
+    parameters. Without such a candidate, return the model that has the missing dependency and most of the others; None
+    if no model has it.
     """
-    more = len(model.dimensions) if missing in seen else -1
+    count = len(model.dimensions) if missing in seen else -1
     laws = {
-        n: cls for n, cls in _known_laws() if n != model.name and missing in cls.sees and len(cls.dimensions) > more
+        n: cls for n, cls in _known_laws() if n != model.name and missing in cls.sees and len(cls.dimensions) > count
     }
-    whole = {name: cls for name, cls in laws.items() if seen <= {*cls.sees}}
+    complete = {name: cls for name, cls in laws.items() if seen <= {*cls.sees}}
 
     def cost(name: str) -> tuple[int, bool, int, bool, int, str]:
         cls = laws[name]
@@ -77,8 +61,8 @@ def suggest_law(model: FrictionModel, seen: set[str], missing: str) -> tuple[str
         return lost, issubclass(cls, NetworkModel), extra, cls.constraint != model.constraint, len(cls.dimensions), name
 
     if missing in seen:
-        laws = whole
-    return min(whole or laws, key=cost, default=None), bool(whole)
+        laws = complete
+    return min(complete or laws, key=cost, default=None), bool(complete)
 
 
 def simpler_law(model: FrictionModel, seen: set[str]) -> str | None:
@@ -146,8 +130,8 @@ def _speeds(
 ) -> Float[np.ndarray, "speeds samples nv"]:
     """Return the friction's magnitude in each state at each of these speeds, in the state's direction."""
     shape, direction = (len(speeds), *state.qvel.shape), np.where(state.qvel < 0, -1.0, 1.0)
-    whole = state.map(lambda signal: np.broadcast_to(signal, shape).copy())
-    return direction * _torque(model, values, whole._replace(qvel=direction * speeds[:, None, None]))
+    states = state.map(lambda signal: np.broadcast_to(signal, shape).copy())
+    return direction * _torque(model, values, states._replace(qvel=direction * speeds[:, None, None]))
 
 
 def _torque(model: FrictionModel, values: Values, state: DriveState) -> np.ndarray:

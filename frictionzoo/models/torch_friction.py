@@ -28,12 +28,8 @@ class TorchFriction(FrictionModel):
     def forward(self, state: DriveState) -> FrictionTerms:
         """Compute the friction terms; pure and deterministic, with this module's values.
 
-        Args:
-            state: Torch tensors of shape (..., nv).
-
-        Returns:
-            Terms of shape (..., nv), or broadcastable to it; `frictionloss` above 0. Their gradient is finite, also at
-            qvel = 0.
+        The state has tensors of shape (..., nv). The terms broadcast to it; `frictionloss` is above 0. Their gradient
+        is finite, also at qvel = 0.
         """
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

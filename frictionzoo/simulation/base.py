@@ -22,10 +22,10 @@ class Friction:
     """Friction model as two functions over `jax.numpy`.
 
     Attributes:
-        settle: Called once at the start of a rollout, with the model's values and the first state; returns the model's
-            memory, of shape (nv, memory).
-        advance: Called in each step, with the model's values, the state, the memory and the time step [s]; returns the
-            friction terms that act during the step, and the memory after it.
+        settle: Called once at the start of a rollout with the model's values and the first state; returns the memory,
+            of shape (nv, memory).
+        advance: Called in each step with values, state, memory and time step [s]; returns the friction terms that act
+            during the step, and the memory after it.
     """
 
     settle: Callable[[Mapping[str, Any], DriveState], Array]
@@ -33,39 +33,31 @@ class Friction:
 
 
 def _emitters(newer: bool) -> dict[str, str | bool]:
-    """Return the XLA option that chooses the code emitters for CPUs; jaxlib 0.11.1 and later have the newer alone."""
+    """Return the XLA option that chooses the code emitters for CPUs; jaxlib 0.11.1 and later have only newer ones."""
     return {"xla_cpu_use_fusion_emitters": newer} if jaxlib.version.__version_info__ < (0, 11, 1) else {}
 
 
 UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion"} | _emitters(newer=True)
-"""Compiler options that switch off XLA's fusion on CPUs.
-
-Fusion recomputes a term wherever it is used. The dynamics of many joints use each term many times, so the compiled step
-becomes slow. The newer emitters are needed too: without fusion, the older ones mixed up the arrays of two joints
-(jaxlib 0.10.2).
-"""
+"""Compiler options that switch off XLA's fusion on CPUs. Fusion recomputes a term wherever it is used, which makes the
+compiled step of many joints slow. Without fusion, the older emitters mixed up the arrays of two joints (jaxlib 0.10.2),
+so the newer ones are set too."""
 
 FORWARD: dict[str, str | bool] = _emitters(newer=False)
-"""Compiler options for fused functions without a reverse sweep: XLA's older code emitters for CPUs.
-
-They compile in two thirds of the time; rollouts and tangents run up to a third faster, reverse sweeps a fifth slower.
-"""
+"""Compiler options for fused functions without a reverse sweep: XLA's older code emitters for CPUs. They compile in two
+thirds of the time; rollouts and tangents run up to a third faster, reverse sweeps a fifth slower."""
 
 
 class Engine(ABC):
     """Simulator of one step of a bench with a friction model; JAX differentiates it in all values.
 
     Attributes:
-        bench: The simulated bench.
-        friction: The friction model.
         name: Value of `engine=NAME` and name in results.
         note: One line that a run prints about it, or "".
         compiler_options: XLA options for compiling a step with a reverse sweep.
         forward_options: XLA options for compiling a step without one.
         forward_limit: Largest number of parameters for which forward mode is faster than reverse mode.
         branches: Number of each joint's branch, from 0; joints of different branches do not move each other.
-        reverse: Whether the step has a reverse mode. It has none if a solver iterates until convergence: JAX has no
-            reverse mode for a loop of unknown length.
+        reverse: Whether the step has a reverse mode. JAX has none for a solver that iterates until convergence.
         keeps_slopes: Whether a step's derivative consists of few numbers, which a rollout can keep for later tangents.
     """
 
@@ -99,7 +91,7 @@ class Engine(ABC):
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
             signals: Recorded signals other than the state, each of shape (nv,).
-            load: Effect of the recording's payload on the bench's MuJoCo model, from `Bench.load`.
+            load: Effect of the payload on the bench's MuJoCo model, from `Bench.load`.
             memory: The friction model's memory, from `start` or the previous step.
             rigid: Whether dry friction follows `rigid_step` instead of MuJoCo's constraint, if nothing else is
                 constrained.
@@ -107,7 +99,7 @@ class Engine(ABC):
                 or m/s]; None: the velocity before the step, as in MuJoCo.
 
         Returns:
-            Position, velocity and the friction model's memory after the step.
+            Position, velocity and memory after the step.
         """
 
     def start(
@@ -127,12 +119,12 @@ def control(bench: Bench, values: Values, qpos: Array, qvel: Array, signals: Sig
 
 
 def friction_of(module: Any) -> Friction:
-    """Return the two functions of a friction module, over `jax.numpy`."""
+    """Return a friction module's two functions, over `jax.numpy`."""
     return Friction(partial(module.settle, jnp), partial(module.advance, jnp))
 
 
 def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:
-    """Make a friction model without memory from one function of the model's values and the state."""
+    """Make a friction model without memory from a function of the model's values and the state."""
     return Friction(
         settle=lambda values, state: jnp.zeros((*state.qvel.shape, 0)),
         advance=lambda values, state, memory, timestep: (terms(values, state), memory),

@@ -13,13 +13,9 @@ from frictionzoo.core.errors import ConfigError, ModelError, closest
 
 
 def to_jax(source: torch.nn.Module | Mapping[str, torch.Tensor], dtype: Any) -> dict[str, jax.Array]:
-    """Copy a module's state to JAX's default device.
+    """Copy a module's state, or a `state_dict`, to JAX's default device; floating-point values become `dtype`.
 
-    The arrays are copies: an in-place step of a torch optimiser does not change them.
-
-    Args:
-        source: A module, or its `state_dict`.
-        dtype: JAX type of the floating-point values; integers keep theirs.
+    An in-place step of a torch optimiser does not change the copies.
 
     Raises:
         ConfigError: `dtype` is float64 while JAX computes in 32 bits.
@@ -34,7 +30,7 @@ def load_from_jax(module: torch.nn.Module, arrays: Mapping[str, jax.Array]) -> N
     """Write arrays into the module's state in place; other entries, dtypes and devices do not change.
 
     Raises:
-        ModelError: A name or a shape does not fit; then nothing is written.
+        ModelError: A name or a shape does not fit; nothing is written.
     """
     state = module.state_dict()
     for name, array in arrays.items():
@@ -51,10 +47,7 @@ def load_from_jax(module: torch.nn.Module, arrays: Mapping[str, jax.Array]) -> N
 
 
 def to_tensors(tree: Any) -> Any:
-    """Copy a pytree's arrays, numpy or JAX, to torch tensors in JAX's precision.
-
-    They lie on the GPU if JAX computes there and torch has one, else in main memory.
-    """
+    """Copy a pytree's arrays to torch tensors in JAX's precision, on the GPU if both JAX and torch use one."""
     on_gpu = _default_device().platform == "gpu" and torch.cuda.is_available()
     device = torch.device("cuda" if on_gpu else "cpu")
     return jax.tree.map(lambda array: _to_tensor(jnp.asarray(array), device), tree)
@@ -68,14 +61,10 @@ def to_arrays(tree: Any) -> Any:
 def as_torch_function(
     function: Callable[..., Any], compiler_options: Mapping[str, Any] | None = None
 ) -> Callable[..., Any]:
-    """Make a pure JAX function a torch operation with JAX's reverse-mode gradient.
+    """Make a pure JAX function a torch operation over pytrees of tensors, with JAX's reverse-mode gradient.
 
     It computes in x64 if one of the tensors is float64, else as JAX is configured. Second derivatives are not
-    available.
-
-    Returns:
-        The same function over pytrees of torch tensors. Its outputs lie on the device of the first tensor; integer and
-        boolean ones carry no gradient.
+    available. The outputs lie on the device of the first tensor; integer and boolean ones carry no gradient.
     """
     operation = _Operation(function, dict(compiler_options or {}))
 
@@ -100,10 +89,10 @@ class _Operation:
         """Return the outputs, and a function that pulls cotangents of floating-point ones back to the moving leaves."""
 
         def of_moving(*moved: Any) -> tuple[list[Any], Any]:
-            given = list(leaves)
+            replaced = list(leaves)
             for index, leaf in zip(moving, moved, strict=True):
-                given[index] = leaf
-            outputs = self._function(*jax.tree.unflatten(structure, given))
+                replaced[index] = leaf
+            outputs = self._function(*jax.tree.unflatten(structure, replaced))
             return [leaf for leaf in jax.tree.leaves(outputs) if _is_floating(leaf)], outputs
 
         _, pull, outputs = jax.vjp(of_moving, *(leaves[index] for index in moving), has_aux=True)
@@ -152,7 +141,7 @@ class _Bridged(torch.autograd.Function):
 
 
 def _x64() -> bool:
-    """Return whether JAX computes in 64 bits here, globally or inside `jax.enable_x64`."""
+    """Return whether JAX computes in 64 bits, globally or inside `jax.enable_x64`."""
     return jnp.result_type(float) == jnp.float64
 
 
@@ -161,13 +150,10 @@ def _is_floating(array: Any) -> bool:
 
 
 def _to_array(tensor: torch.Tensor, dtype: Any = None) -> jax.Array:
-    """Copy a tensor to JAX's default device, floating-point values as `dtype` if given.
-
-    Torch makes the copy, in compact strides, for JAX alone: `jnp.from_dlpack` shares memory, even if asked to copy.
-    """
+    # Torch makes the copy, in compact strides: `jnp.from_dlpack` shares memory, even if asked to copy.
     array = jnp.from_dlpack(tensor.detach().clone(memory_format=torch.contiguous_format))
-    own = dtype if dtype is not None and _is_floating(array) else jax.dtypes.canonicalize_dtype(array.dtype)
-    array = array if array.dtype == own else jnp.array(array, own)
+    target = dtype if dtype is not None and _is_floating(array) else jax.dtypes.canonicalize_dtype(array.dtype)
+    array = array if array.dtype == target else jnp.array(array, target)
     default = _default_device()
     return array if array.device == default else jax.device_put(array, default)
 

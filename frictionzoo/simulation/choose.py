@@ -11,18 +11,13 @@ from frictionzoo.simulation.mjx import MjxEngine
 from frictionzoo.simulation.specialised import SpecialisedEngine
 
 _CHOICES = ("auto", "mjx", "specialised")
-_MEASURED_JOINTS = 17
-"""Largest number of joints in a branch for which `specialised` was measured to be faster."""
+_MEASURED_JOINTS = 17  # most joints in a branch for which `specialised` was measured to be faster
 
 
 def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
-    """Return the engine of this name.
+    """Return the engine `mjx` or `specialised`; `auto` is `specialised` if it applies and is known to be faster.
 
-    Args:
-        choice: `mjx`, `specialised`, or `auto`: `specialised` if it applies and is known to be faster, else `mjx`.
-        bench: The bench to simulate.
-        friction: The friction model's formula over `jax.numpy`.
-        constraint: Whether the model returns a `frictionloss`, or for which joints.
+    `constraint` is whether the model returns a `frictionloss`, or for which joints.
 
     Raises:
         ConfigError: There is no such engine, or `specialised` does not apply.
@@ -36,7 +31,7 @@ def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool 
 
 @contextlib.contextmanager
 def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
-    """Replace an error of MJX about an unsupported MJCF by one line.
+    """Replace MJX's error about an unsupported MJCF by one line.
 
     Raises:
         BenchError: MJX raised NotImplementedError.
@@ -54,10 +49,10 @@ def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
 def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
     if choice == "mjx":
         return MjxEngine(bench, friction, constraint)
-    most = max(bench.branches.count(number) for number in bench.branches)
-    together = "" if most == bench.nv else " that move each other"
-    reason = f"{most} joints{together} are more than the {_MEASURED_JOINTS} that were measured"
-    if choice == "specialised" or most <= _MEASURED_JOINTS:
+    joints = max(bench.branches.count(number) for number in bench.branches)
+    coupled = "" if joints == bench.nv else " that move each other"
+    reason = f"{joints} joints{coupled} are more than the {_MEASURED_JOINTS} that were measured"
+    if choice == "specialised" or joints <= _MEASURED_JOINTS:
         try:
             return SpecialisedEngine(bench, friction, constraint)
         except CannotSpecialiseError as error:

@@ -13,7 +13,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.data.cache import cache_folder
 
 _forked_late: list[bool] = []
-"""Filled in a process that was forked after JAX had begun to compute: JAX's threads are missing there."""
+"""Filled in a process forked after JAX had begun to compute: JAX's threads are missing there."""
 
 
 def _note_fork() -> None:
@@ -21,28 +21,23 @@ def _note_fork() -> None:
         _forked_late.append(True)
 
 
-os.register_at_fork(after_in_child=_note_fork)  # not called when another program is started
+os.register_at_fork(after_in_child=_note_fork)  # not called for another program
 _SHORTEST = 0.1  # shortest compilation whose result is stored [s]
 
 
 @contextlib.contextmanager
 def computing(dtype: str, device: str = "auto", compilation_cache: str | None = "user") -> Iterator[str]:
-    """Compute in this precision, on this device, and store compiled functions in this folder.
+    """Compute in this precision, on this device, with a cache of compiled functions; yield the device's name.
 
-    Args:
-        dtype: `float32` or `float64`.
-        device: `auto`, `cpu` or `cuda`.
-        compilation_cache: As in `cache_folder`. JAX's own setting takes precedence.
-
-    Yields:
-        The device's name.
+    `dtype` is `float32` or `float64`; `device` is `auto`, `cpu` or `cuda`; `compilation_cache` is as in `cache_folder`,
+    but JAX's setting takes precedence.
 
     Raises:
         ConfigError: An argument is unknown, JAX finds no such device, or the process was forked after JAX had begun to
             compute.
     """
     refuse_late_fork()
-    # XLA would reserve most of a GPU's memory and leave torch none; it reads this when it first uses the GPU.
+    # Else XLA reserves most of the GPU's memory and leaves torch none; it reads this when it first uses the GPU.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     refuse_precision(dtype)
     if device not in ("auto", "cpu", "cuda"):
@@ -83,15 +78,15 @@ def _keeping(folder: Path | None) -> Iterator[None]:
         "jax_compilation_cache_dir": str(folder / "xla"),
         "jax_persistent_cache_min_compile_time_secs": _SHORTEST,
     }
-    before = {name: getattr(jax.config, name) for name in options}
+    previous = {name: getattr(jax.config, name) for name in options}
     try:
         _configure(options)
         yield
     finally:
-        _configure(before)
+        _configure(previous)
 
 
 def _configure(options: dict[str, object]) -> None:
     for name, value in options.items():
         jax.config.update(name, value)
-    jax_cache.reset_cache()  # JAX asks for the folder once, when it first compiles
+    jax_cache.reset_cache()  # JAX reads the folder once, at its first compilation

@@ -26,7 +26,7 @@ from frictionzoo.simulation.torch_rollout import TorchRollout
 _KEPT = 16  # compiled drives in this process
 
 Array = Tensor | np.ndarray
-"""Input of a rollout: a tensor, a NumPy array, or another object that NumPy reads as an array."""
+"""Tensor, NumPy array, or another object that NumPy reads as an array."""
 
 
 def rollout(
@@ -45,22 +45,20 @@ def rollout(
     """Simulate open-loop rollouts of a drive, differentiable by torch.
 
     Gradients reach the initial states, the commands, the friction model's parameters and the bench's parameters given
-    as tensors. Second derivatives are not available. Recently used drives stay compiled, each for the shapes it has
-    met.
+    as tensors. Second derivatives are not available. Recently used drives stay compiled for each set of shapes.
 
-    States, commands and signals are tensors or NumPy arrays of floating-point or whole numbers. If one of them is
-    float64, all are computed in float64, otherwise in float32, also half precision and whole numbers. The parameters
-    follow. The computation runs on JAX's device; the results have that precision and lie on the device of `qpos`.
+    All is computed in float64 if a state, command or signal is float64, else in float32, also half precision and whole
+    numbers. The computation runs on JAX's device; the results lie on the device of `qpos`.
 
     Args:
         bench: The test stand.
-        law: The friction model, a `FrictionModel`; a memory begins as if the first state had lasted.
+        law: The friction model; a memory begins as if the first state had lasted.
         qpos: Initial position [rad or m], of shape (batch, nv).
         qvel: Initial velocity [rad/s or m/s], of shape (batch, nv).
         ctrl: Command of each joint's actuator, of shape (batch, time, nv); sample i acts from state i to state i + 1.
-            Without samples, the rollouts have none either.
-        parameters: Values of the bench's parameters, of shape (nv,) or a single one, by name; the others keep the
-            bench's values.
+            Without samples the results have none either.
+        parameters: Values of bench parameters by name, of shape (nv,) or a single one; the others keep the bench's
+            values.
         signals: Further signals for the actuator law and the friction model (`bench.inputs`, `law.inputs`), by name,
             each of shape (batch, time, nv). The friction model's are optional, and some of the actuator law's.
         interval: Sample interval [s], a whole number of simulation steps; None for one step.
@@ -73,8 +71,8 @@ def rollout(
     Raises:
         BenchError: Shapes, joints, signals or the interval do not fit the bench, or MJX does not support something in
             it.
-        ConfigError: An unknown parameter or engine, an argument of another type, a process that was forked after JAX
-            had begun to compute, or a gradient of an engine that has none for this bench.
+        ConfigError: An unknown parameter or engine, an argument of another type, a process forked after JAX had begun
+            to compute, or a gradient of an engine that has none for this bench.
         ModelError: The model does not return friction terms in torch.
     """
     refuse_late_fork()
@@ -84,17 +82,17 @@ def rollout(
     tensors = _to_tensors(arrays)
     qpos, qvel, ctrl = (tensors.pop(name) for name in ("qpos", "qvel", "ctrl"))
     precision = qpos.dtype, bool(jax.config.read("jax_enable_x64"))
-    # First, because it may change the model's dtype.
+    # Before the values are read, because it may change the model's dtype.
     bench, function, reverse, history = _compile(bench, law, engine, interval, precision)
     values = _values(bench, law, parameters or {}, qpos)
-    given = {name.removeprefix("signals."): tensor for name, tensor in tensors.items()}
-    driven = _name(bench, law, qpos, qvel, ctrl, given)
+    further = {name.removeprefix("signals."): tensor for name, tensor in tensors.items()}
+    driving = _name(bench, law, qpos, qvel, ctrl, further)
     if not ctrl.numel():
         return qpos[:, None].expand(ctrl.shape).clone(), qvel[:, None].expand(ctrl.shape).clone()
     if history:
-        driven = driven.map(lambda signal: torch.cat([signal[:, :1].expand(-1, history, -1), signal], dim=1))
+        driving = driving.map(lambda signal: torch.cat([signal[:, :1].expand(-1, history, -1), signal], dim=1))
     load = torch.as_tensor(bench.load(payload or NO_PAYLOAD)).to(qpos).expand(len(qpos), -1)
-    arguments = values, qpos, qvel, driven, load
+    arguments = values, qpos, qvel, driving, load
     if not reverse and torch.is_grad_enabled() and any(leaf.requires_grad for leaf in jax.tree.leaves(arguments)):
         raise ConfigError(
             f"{bench.source}: engine={engine} has no gradient of this bench, whose solver iterates; expected a rollout "
@@ -107,22 +105,19 @@ def rollout(
 def _compile(
     bench: Bench, law: FrictionModel, engine: str, interval: float, precision: tuple[torch.dtype, bool]
 ) -> tuple:
-    """Return the bench with the model's signals, the function, whether it has a gradient, and its history samples.
-
-    Each precision has its own drive, because engines keep what they have traced.
-    """
+    """Return the bench with the model's signals, the function, whether it has a gradient, and its history samples."""
+    # Each precision has a separate drive (it is a key of the cache), because engines keep their traces.
     bench = bench.observing(law.inputs)
     bench.check_interval(interval, "interval")
     sampling = bench.sampling(interval)
     drive = Drive.assemble(bench, law, engine, sampling)
-    found = drive.rollout
-    if isinstance(found, TorchRollout):
-        return bench, found.in_torch, found.reverse, sampling.history
-    return bench, as_torch_function(found.function, found.compiler_options), found.reverse, sampling.history
+    rollouts = drive.rollout
+    if isinstance(rollouts, TorchRollout):
+        return bench, rollouts.in_torch, rollouts.reverse, sampling.history
+    return bench, as_torch_function(rollouts.function, rollouts.compiler_options), rollouts.reverse, sampling.history
 
 
 def _refuse_others(bench: Any, law: Any, parameters: Any, signals: Any, payload: Any, engine: Any) -> None:
-    """Refuse arguments of the wrong type."""
     refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
     expected = "a FrictionModel, as fz.law('stribeck') is"
     if isinstance(law, torch.nn.Module):
@@ -150,7 +145,7 @@ def _to_tensors(arrays: Mapping[str, Any]) -> dict[str, Tensor]:
 
 
 def _to_tensor(name: str, value: Any) -> Tensor:
-    """Return a tensor, or a copy of an array as one; ConfigError for anything else and for other than real numbers."""
+    """Return a tensor, or a copy of an array as one; ConfigError for anything but real numbers."""
     if not isinstance(value, Tensor):
         if not hasattr(value, "__array__"):
             raise ConfigError(f"{name}: {type(value).__name__}, expected a torch tensor or a NumPy array")
@@ -160,18 +155,18 @@ def _to_tensor(name: str, value: Any) -> Tensor:
             raise ConfigError(f"{name}: an array of {array.dtype}, expected floating-point or whole numbers")
         return torch.from_numpy(np.array(array, kinds[array.dtype.kind], order="C"))
     if value.dtype.is_complex or value.dtype == torch.bool or value.is_quantized or value.layout != torch.strided:
-        came = f"{value.dtype} in the layout {value.layout}"
-        raise ConfigError(f"{name}: a tensor of {came}, expected floating-point or whole numbers, strided")
+        description = f"{value.dtype} in the layout {value.layout}"
+        raise ConfigError(f"{name}: a tensor of {description}, expected floating-point or whole numbers, strided")
     return value
 
 
 def _values(bench: Bench, law: FrictionModel, given: Mapping[str, Any], like: Tensor) -> dict[str, dict[str, Tensor]]:
-    known = bench.initial_values()
-    for name in given.keys() - known.keys():
-        raise ConfigError(f"parameters.{name}: no such parameter of the bench; {closest(str(name), known)}")
+    initial = bench.initial_values()
+    for name in given.keys() - initial.keys():
+        raise ConfigError(f"parameters.{name}: no such parameter of the bench; {closest(str(name), initial)}")
     friction = law.state_dict(keep_vars=True).items()
     return {
-        "bench": {name: _of_joints(bench, name, given.get(name, value), like) for name, value in known.items()},
+        "bench": {name: _of_joints(bench, name, given.get(name, value), like) for name, value in initial.items()},
         "friction": {name: v.to(like) if v.is_floating_point() else v.to(like.device) for name, v in friction},
     }
 
@@ -187,7 +182,7 @@ def _of_joints(bench: Bench, name: str, value: Any, like: Tensor) -> Tensor:
 def _name(
     bench: Bench, law: FrictionModel, qpos: Tensor, qvel: Tensor, ctrl: Tensor, signals: dict[str, Tensor]
 ) -> Signals:
-    """Collect the command and the other signals for a rollout."""
+    """Collect the command and the other signals for a rollout, with their defaults."""
     if qpos.ndim != 2 or ctrl.ndim != 3:
         raise BenchError(
             f"qpos of shape {tuple(qpos.shape)} and ctrl of {tuple(ctrl.shape)}, expected (batch, {bench.nv}) and "
@@ -198,14 +193,16 @@ def _name(
         raise BenchError(f"signals.{name}: neither law looks at it; {closest(str(name), bench.inputs)}")
     shapes = {"qpos": (batch, bench.nv), "qvel": (batch, bench.nv)}
     parts = {"ctrl": ctrl}
-    without = {**bench.actuator.optional_inputs, **law.inputs}
+    defaults = {**bench.actuator.optional_inputs, **law.inputs}
     for name in bench.inputs:
-        if name not in signals and name not in without:
+        if name not in signals and name not in defaults:
             raise BenchError(f"signals.{name}: missing, and the bench's actuator needs it; give it in each sample")
-        parts[name] = signals[name] if name in signals else torch.full_like(ctrl, without[name])
+        parts[name] = signals[name] if name in signals else torch.full_like(ctrl, defaults[name])
     shapes |= dict.fromkeys(parts, (batch, time, bench.nv))
     for name, tensor in {"qpos": qpos, "qvel": qvel, **parts}.items():
         if tuple(tensor.shape) != shapes[name]:
             raise BenchError(f"{name} has shape {tuple(tensor.shape)}, expected {shapes[name]}")
-    whole = Signals(parts["ctrl"], {n: parts[n] for n in bench.actuator.inputs}, {n: parts[n] for n in bench.observed})
-    return whole.map(lambda signal: signal.to(qpos))
+    collected = Signals(
+        parts["ctrl"], {n: parts[n] for n in bench.actuator.inputs}, {n: parts[n] for n in bench.observed}
+    )
+    return collected.map(lambda signal: signal.to(qpos))

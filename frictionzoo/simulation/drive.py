@@ -20,9 +20,7 @@ class Drive:
     """Bench with a friction model, ready for simulation.
 
     Attributes:
-        model: The friction model.
         engine: Engine of one step; for a torch-only model it takes friction terms in place of the model's values.
-        rollout: Many open-loop rollouts.
     """
 
     model: FrictionModel
@@ -62,8 +60,8 @@ def looks_at_one_joint(model: FrictionModel) -> bool:
 
     def terms(signals: torch.Tensor) -> list[torch.Tensor]:
         state = DriveState(*signals)
-        found, _ = model.advance(torch, values, state, model.settle(torch, values, state), 1e-3)
-        return [term.expand(mask.shape) for term in found.given().values()]
+        friction, _ = model.advance(torch, values, state, model.settle(torch, values, state), 1e-3)
+        return [term.expand(mask.shape) for term in friction.given().values()]
 
     with torch.no_grad():
         parts = zip(terms(torch.where(mask, one, other)), terms(one), terms(other), strict=True)

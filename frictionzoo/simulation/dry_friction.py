@@ -16,7 +16,7 @@ _AT_REST = 1e-4  # velocity that counts as rest, relative to what friction alone
 
 
 class _Search(NamedTuple):
-    """State of the search: steps, accelerations, the piece of each joint that they come from, and convergence."""
+    """State of the search: steps, accelerations, the piece of each joint at them, and convergence."""
 
     count: Any
     acceleration: Any
@@ -52,8 +52,8 @@ def dry_friction(
     """
     if len(force) == 1:
         ((alone,),) = inertia
-        held = (reference - force / alone) / (1 / alone + 1 / softness)
-        return jnp.where(limit == 0, 0.0, jnp.clip(held, -limit, limit))
+        holding = (reference - force / alone) / (1 / alone + 1 / softness)
+        return jnp.where(limit == 0, 0.0, jnp.clip(holding, -limit, limit))
     problem = (inertia, force, softness, reference, limit)
     sliding = _find_sliding(*jax.lax.stop_gradient(problem))
     return _force(_accelerations(*problem, sliding), *problem[2:], sliding)
@@ -66,30 +66,26 @@ def rigid_step(
     timestep: float,
     limit: Float[Array, "nv"],
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
-    """Compute a step with Coulomb friction, which does not creep.
+    """Compute a step with Coulomb friction that does not creep.
 
     A joint that friction can hold is at rest after the step. If a joint stops or reverses within the step, friction
-    opposes the old motion until the stop; then it holds the joint or opposes the new motion. A constant friction force
-    over the step, as in MuJoCo's constraint at any stiffness, would give velocities of first order in the step and
-    wrong derivatives.
+    opposes the old motion until the stop; then it holds the joint or opposes the new motion. A friction force that is
+    constant over the step, as in MuJoCo's constraint at any stiffness, would give velocities of first order in the step
+    and wrong derivatives. `inertia` includes the integrator's addition, `qvel` [rad/s or m/s] is the velocity before
+    the step, `timestep` is in s; the other arguments are as in `dry_friction`.
 
     Source: J. J. Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988, for the implicit step.
 
-    Args:
-        inertia: Joint-space inertia and the integrator's addition, by rows [kg m^2 or kg].
-        force: All other forces [N m or N].
-        qvel: Velocity before the step [rad/s or m/s].
-        timestep: Time step [s].
-        limit: `frictionloss` [N m or N]; 0 for a joint without dry friction.
-
     Returns:
-        Mean accelerations, and the displacement beyond that of constant accelerations [rad or m].
+        Mean accelerations, and the displacement in addition to theirs [rad or m].
     """
-    own = jnp.stack([jnp.asarray(row[-1]) for row in inertia])
-    stiff, stop, before = _RIGID * own, -qvel / timestep, jnp.sign(qvel)
+    diagonal = jnp.stack([jnp.asarray(row[-1]) for row in inertia])
+    stiff, stop, before = _RIGID * diagonal, -qvel / timestep, jnp.sign(qvel)
     problem = (inertia, force, stiff, stop, limit)
-    after = _pieces(force - own * stop, limit) if len(force) == 1 else _find_sliding(*jax.lax.stop_gradient(problem))
-    moves = jnp.abs(qvel) > _AT_REST * timestep * limit / own
+    after = (
+        _pieces(force - diagonal * stop, limit) if len(force) == 1 else _find_sliding(*jax.lax.stop_gradient(problem))
+    )
+    moves = jnp.abs(qvel) > _AT_REST * timestep * limit / diagonal
     changes = moves & (before * after <= 0) & (limit > 0)
     # A joint that stops within the step reverses if friction cannot hold it at rest.
     stands = stiff * _accelerations(inertia, force, stiff, jnp.where(changes, 0.0, stop), limit, after)
@@ -97,20 +93,18 @@ def rigid_step(
     slowing = _accelerations(*problem, jnp.where(changes, before, after))
     share = jnp.where(changes, jnp.clip(stop / jnp.where(changes, slowing, 1.0), 0.0, 1.0), 0.0)
     mean = share * before + (1 - share) * after
-    found = _accelerations(*problem, after, mean)
-    friction = jnp.where(after == 0, stiff * (stop - found), -mean * limit)
+    accelerations = _accelerations(*problem, after, mean)
+    friction = jnp.where(after == 0, stiff * (stop - accelerations), -mean * limit)
     early = jnp.where(changes, -before * limit - friction, 0.0) * share * timestep**2 / 2
-    held = jnp.where((after == 0) & ~changes, stiff, 0.0)
-    return found, solve_rows(add_diagonal(inertia, held), early)
+    holding = jnp.where((after == 0) & ~changes, stiff, 0.0)
+    return accelerations, solve_rows(add_diagonal(inertia, holding), early)
 
 
 def _accelerations(
     inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array, sliding: Array, mean: Any = None
 ) -> Float[Array, "nv"]:
-    """Minimise `dry_friction`'s problem with each joint on one piece: -1 and 1 slide backwards and forwards, 0 holds.
-
-    A joint that reverses within the step slides in the direction `mean`; None: as `sliding`.
-    """
+    """Minimise `dry_friction`'s problem, each joint on one piece: -1 and 1 slide backwards and forwards, 0 holds."""
+    # A joint that reverses within the step slides in the direction `mean`; None: as `sliding`.
     holds = sliding == 0
     stiff = jnp.where(holds, softness, 0.0)
     pushed = force + stiff * reference - jnp.where(holds, 0.0, (sliding if mean is None else mean) * limit)
@@ -122,7 +116,7 @@ def _force(acceleration: Array, softness: Array, reference: Array, limit: Array,
 
 
 def _pieces(pull: Array, limit: Array) -> Float[Array, "nv"]:
-    slides = (pull > limit) | (limit == 0)  # without dry friction nothing holds, not even a joint without load
+    slides = (pull > limit) | (limit == 0)  # without dry friction nothing holds, even without load
     return jnp.where(slides, 1.0, jnp.where(pull < -limit, -1.0, 0.0)).astype(pull.dtype)
 
 
@@ -130,8 +124,8 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
     """Return the piece of each joint at the minimum; NaN if the search does not converge.
 
     The cost is convex, and quadratic within each combination of pieces. Newton's step goes to the minimum of the
-    current quadratic; if that lies in the same pieces, it is the solution. A few full steps nearly always suffice.
-    Otherwise the search continues with exact line searches.
+    current quadratic; if that lies in the same pieces, it is the solution. A few full steps nearly always suffice;
+    otherwise the search continues with exact line searches.
     """
     row = (softness, reference, limit)
 
@@ -143,7 +137,7 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
         return direction @ (multiply(inertia, acceleration) - force + soft)
 
     def lowest(start: Array, direction: Array) -> Array:
-        """Return the step length of lowest cost: along a direction the slope rises linearly, with kinks at borders."""
+        """Return the step length of lowest cost: the slope rises linearly along a direction, with kinks at borders."""
         borders = jnp.concatenate([(reference + side * limit / softness - start) / direction for side in (-1, 1)])
         borders = jnp.where(jnp.isfinite(borders) & (borders > 0), borders, 0.0)
         slopes = jax.vmap(lambda share: slope(start + share * direction, direction))(borders)
@@ -154,7 +148,6 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
         return before - falling * (after - before) / (rising - falling)
 
     def propose(sliding: Array) -> tuple[Array, Array]:
-        """Return Newton's step for these pieces, and the pieces at its end."""
         proposed = _accelerations(inertia, force, *row, sliding)
         return proposed, pieces(proposed)
 
@@ -165,7 +158,7 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
         return _Search(state.count + 1, proposed, jnp.where(sliding * state.sliding < 0, 0.0, sliding), done)
 
     def descend(state: _Search) -> _Search:
-        """Take a step to the lowest point on its way."""
+        """Take a step to the lowest point along it."""
         here = pieces(state.acceleration)
         proposed, sliding = propose(here)
         direction = proposed - state.acceleration
@@ -177,6 +170,6 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
 
     smooth = solve_rows(inertia, force)
     start = _Search(jnp.asarray(0), smooth, pieces(smooth), jnp.asarray(False))
-    found = jax.lax.while_loop(lambda state: ~state.done & (state.count < _LEAPS), leap, start)
-    found = jax.lax.while_loop(lambda state: ~state.done & (state.count < _NEWTON_STEPS), descend, found)
-    return jnp.where(found.done, found.sliding, jnp.nan)
+    search = jax.lax.while_loop(lambda state: ~state.done & (state.count < _LEAPS), leap, start)
+    search = jax.lax.while_loop(lambda state: ~state.done & (state.count < _NEWTON_STEPS), descend, search)
+    return jnp.where(search.done, search.sliding, jnp.nan)

@@ -23,13 +23,11 @@ from frictionzoo.simulation.mjx import Acting, MjxEngine, ModelInputs
 
 
 class Dynamics(NamedTuple):
-    """One branch in one state, before friction.
+    """One branch in one state, before friction; torques as in `DriveState`.
 
     Attributes:
         inertia: Joint-space inertia with the armature, by rows.
-        implicit: The same with the integrator's addition, without the friction model's damping.
-        motor_torque: Torque of the actuators [N m or N].
-        external_torque: Torque of everything except actuators and friction [N m or N].
+        implicit: `inertia` with the integrator's addition, without the friction model's damping.
         constraint_inertia: `efc_D` of the friction constraint's rows [kg m^2 or kg]; empty without constraint.
         constraint_reference: `efc_aref` of these rows [rad/s^2 or m/s^2].
     """
@@ -46,9 +44,10 @@ class Group(NamedTuple):
     """Similar branches, whose dynamics are one function of their properties.
 
     Attributes:
-        joints: Index of each joint, a row a branch.
-        load: Load of each branch for `MjxEngine`, a row each; None for the bench as a whole, with the recording's load.
-        links: Link properties that differ between branches, a row each; None if they come from the load.
+        joints: Indices of the joints, one row a branch.
+        load: Load of each branch for `MjxEngine`, one row each; None for the bench as a whole, with the recording's
+            load.
+        links: Link properties that differ between branches, one row each; None if they come from the load.
         inputs: Function from values and load to MJX's inputs.
         acting: `MjxEngine.acting`, specialised.
         rigid: Inertia and bias torque of the links, from their properties, displacement and velocity.
@@ -68,19 +67,19 @@ class Group(NamedTuple):
 
     def dynamics(self, values: Values, load: Array, qpos: Array, qvel: Array, midway: Array, ctrl: Array) -> Dynamics:
         """Return the branches' dynamics, stacked, from `Engine.step`'s arguments and MuJoCo's ctrl, for all joints."""
-        own = {name: value[self.joints] for name, value in values["bench"].items()}
+        bench_values = {name: value[self.joints] for name, value in values["bench"].items()}
         loads = load[None] if self.load is None else jnp.asarray(self.load, load.dtype)
         links = load[None, :INERTIAL] if self.links is None else jnp.asarray(self.links, load.dtype)
         return self.each(
-            self._of_branch, own, loads, links, *(part[self.joints] for part in (qpos, qvel, midway, ctrl))
+            self._of_branch, bench_values, loads, links, *(part[self.joints] for part in (qpos, qvel, midway, ctrl))
         )
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Apply a function to every branch, for arguments with a first dimension of branches."""
         if len(self.joints) > 1:
             return jax.vmap(function)(*arguments)
-        alone = function(*jax.tree.map(operator.itemgetter(0), arguments))
-        return jax.tree.map(lambda part: part[None], alone)
+        result = function(*jax.tree.map(operator.itemgetter(0), arguments))
+        return jax.tree.map(lambda part: part[None], result)
 
     def _of_branch(
         self,
@@ -92,52 +91,53 @@ class Group(NamedTuple):
         midway: Array,
         ctrl: Array,
     ) -> Dynamics:
-        here: Acting = self.acting(self.inputs({"bench": known}, load), qpos, qvel, ctrl)
+        acting: Acting = self.acting(self.inputs({"bench": known}, load), qpos, qvel, ctrl)
         # No parameter changes the links' properties, so they need no derivative.
-        rows, bias = self.rigid(jax.lax.stop_gradient(links), here.displacement, midway)
-        inertia = add_diagonal(rows, here.armature)
-        more = [here.implicit[index] for index in range(len(rows))]
-        implicit = tuple(tuple(map(operator.add, row, more[index][: len(row)])) for index, row in enumerate(inertia))
-        constraint = here.constraint_inertia, here.constraint_reference
-        return Dynamics(inertia, implicit, here.motor_torque, here.passive_torque - bias, *constraint)
+        rows, bias = self.rigid(jax.lax.stop_gradient(links), acting.displacement, midway)
+        inertia = add_diagonal(rows, acting.armature)
+        additions = [acting.implicit[index] for index in range(len(rows))]
+        implicit = tuple(
+            tuple(map(operator.add, row, additions[index][: len(row)])) for index, row in enumerate(inertia)
+        )
+        constraint = acting.constraint_inertia, acting.constraint_reference
+        return Dynamics(inertia, implicit, acting.motor_torque, acting.passive_torque - bias, *constraint)
 
 
 def groups_of(bench: Bench, constrainable: bool) -> list[Group]:
     """Return the bench's dynamics, by branch if it has several and carries no payload.
 
-    They include the friction constraint's coefficients even if the model does not need them: XLA drops unused ones, and
-    each bench is specialised only once. An MJCF whose flags disable this constraint has none.
+    They include the friction constraint's coefficients unless the MJCF's flags disable it, so that each bench is
+    specialised only once: XLA drops unused ones.
     """
     numbers = np.array(bench.branches)
     if bench.payload is not None or not numbers.any():
         links = None if bench.payload is not None else np.zeros((1, 0))
         return [Group(np.arange(bench.nv)[None], None, links, *_specialised(bench, [], constrainable, ()))]
     joints = [np.flatnonzero(numbers == number) for number in range(numbers.max() + 1)]
-    parts = [bench.only(own.tolist()) for own in joints]
-    models = {own[0]: part.compile(constraint=False) for own, part in zip(joints, parts, strict=True)}
+    parts = [bench.only(members.tolist()) for members in joints]
+    models = {members[0]: part.compile(constraint=False) for members, part in zip(joints, parts, strict=True)}
     groups = []
     for alike in group_alike(joints, list(models.values())):
-        first = next(part for own, part in zip(joints, parts, strict=True) if own[0] == alike.joints[0, 0])
-        own = [models[own[0]] for own in alike.joints]
-        rigid = np.array([rigid_inertia(model).ravel() for model in own])
+        example = next(part for members, part in zip(joints, parts, strict=True) if members[0] == alike.joints[0, 0])
+        members = [models[members[0]] for members in alike.joints]
+        rigid = np.array([rigid_inertia(model).ravel() for model in members])
         load = np.concatenate([alike.links, rigid], axis=1) if alike.fields else rigid[:, :0]
-        rows = np.array([tree.flatten(_links(model)) for model in own])
+        rows = np.array([tree.flatten(_links(model)) for model in members])
         differ = np.flatnonzero((rows != rows[0]).any(axis=0))
-        made = _specialised(first, differ.tolist(), constrainable, alike.fields)
-        groups.append(Group(alike.joints, load, rows[:, differ], *made))
+        functions = _specialised(example, differ.tolist(), constrainable, alike.fields)
+        groups.append(Group(alike.joints, load, rows[:, differ], *functions))
     return groups
 
 
 _known: dict[str, tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]] = {}
-"""Functions specialised in this process; a job simulates its bench with several models."""
+"""Functions specialised in this process, for a job that simulates its bench with several models."""
 
 
 def _specialised(
     bench: Bench, differ: Sequence[int], constrainable: bool, fields: Sequence[tuple[str, int]]
 ) -> tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]:
     """Return the functions of a `Group`, for this bench and those that differ in these fields and link properties."""
-    # Benches with the same MJCF at the same values differ only in initial values and bounds, which enter MJX's model as
-    # inputs.
+    # Benches with equal MJCF at equal values differ only in initial values and bounds, inputs of MJX's model.
     ones = dict.fromkeys(bench.params, np.ones(bench.nv))
     key = f"{type(bench.actuator).__qualname__} {bench.payload} {differ} {fields} {bench.mjcf(ones)}"
     if key not in _known:
@@ -155,18 +155,20 @@ def _specialised(
 def _specialise_rigid(bench: Bench, differ: Sequence[int]) -> Specialised:
     """Specialise the links' inertia and bias torque, for few joints with slopes in displacement and velocity."""
     model = bench.compile(constraint=False)
-    falls = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    gravity = model.opt.gravity if falls else np.zeros(3)
+    has_gravity = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    gravity = model.opt.gravity if has_gravity else np.zeros(3)
     links = _links(model)
     numbers = np.zeros(len(differ) if bench.payload is None else INERTIAL)
 
     def rigid(numbers: Array, displacement: Array, qvel: Array) -> tuple[Rows, Array]:
         if bench.payload is None:
-            own = tree.unflatten(links, dict(zip(differ, numbers, strict=True)))
+            variable_links = tree.unflatten(links, dict(zip(differ, numbers, strict=True)))
         else:
-            own = tree.regroup(jnp, tree.links_of(jnp, _with_inertial(model, bench.payload, numbers)))
-        at = tree.poses(own, displacement)
-        return tree.joint_inertia(own, at), tree.bias_torque(own, at, qvel, gravity)
+            variable_links = tree.regroup(jnp, tree.links_of(jnp, _with_inertial(model, bench.payload, numbers)))
+        link_poses = tree.poses(variable_links, displacement)
+        return tree.joint_inertia(variable_links, link_poses), tree.bias_torque(
+            variable_links, link_poses, qvel, gravity
+        )
 
     moving = (1, 2) if bench.nv <= FEW_JOINTS else ()
     return specialise(rigid, numbers, *[np.zeros(bench.nv)] * 2, moving=moving)
@@ -177,10 +179,10 @@ def _links(model: mujoco.MjModel) -> list[tree.Link]:
 
 
 def _with_inertial(model: mujoco.MjModel, body: int, inertial: Float[Array, "11"]) -> Any:
-    """Return the model fields that `links_of` needs, with one body's values traced: first entries of a load."""
+    """Return the model fields for `links_of`, with one body's values traced: first entries of a load."""
     fields = {name: getattr(model, name) for name in tree.FIELDS}
     mass, place, turn, inertia = jnp.split(inertial, [1, 4, 8])
-    moved = {"body_mass": mass[0], "body_ipos": place, "body_iquat": turn, "body_inertia": inertia}
-    for name, value in moved.items():
-        fields[name] = [value if index == body else own for index, own in enumerate(fields[name])]
+    changes = {"body_mass": mass[0], "body_ipos": place, "body_iquat": turn, "body_inertia": inertia}
+    for name, value in changes.items():
+        fields[name] = [value if index == body else entry for index, entry in enumerate(fields[name])]
     return SimpleNamespace(**fields)

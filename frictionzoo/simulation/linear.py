@@ -1,7 +1,4 @@
-"""Linear algebra of a few joints, written out entry by entry so that it runs over any batch without LAPACK.
-
-Many joints would need too many operations to compile; they use LAPACK.
-"""
+"""Linear algebra of a few joints, entry by entry, to run over any batch without LAPACK; many joints use LAPACK."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -30,7 +27,7 @@ def rows_of(matrix: Float[Array, "nv nv"]) -> Rows:
 
 @jax.custom_jvp
 def solve_rows(rows: Rows, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
-    """Solve the system of a matrix given by rows. The derivative uses the same factors: dx = A^-1 (db - dA x)."""
+    """Solve the system of a matrix given by rows; the derivative uses the same factors: dx = A^-1 (db - dA x)."""
     return _substitute(_factorise(rows), right)
 
 
@@ -38,13 +35,13 @@ def solve_rows(rows: Rows, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
 def _solve_tangent(given: tuple, tangents: tuple) -> tuple[Array, Array]:
     (rows, right), (by_rows, by_right) = given, tangents
     factors = _factorise(rows)
-    found = _substitute(factors, right)
-    return found, _substitute(factors, by_right - multiply(by_rows, found))
+    solution = _substitute(factors, right)
+    return solution, _substitute(factors, by_right - multiply(by_rows, solution))
 
 
 def add_diagonal(rows: Rows, diagonal: Float[Array, "nv"]) -> Rows:
     """Add a vector to the diagonal."""
-    return tuple((*row[:-1], row[-1] + more) for row, more in zip(rows, diagonal, strict=True))
+    return tuple((*row[:-1], row[-1] + entry) for row, entry in zip(rows, diagonal, strict=True))
 
 
 def multiply(rows: Rows, vector: Float[Array, "nv"]) -> Float[Array, "nv"]:
@@ -63,8 +60,6 @@ class _Few(NamedTuple):
 
 
 class _Many(NamedTuple):
-    """Large matrix and its inverse."""
-
     matrix: Float[Array, "nv nv"]
     inverse: Float[Array, "nv nv"]
 
@@ -88,17 +83,17 @@ def _factorise(rows: Rows) -> _Few | _Many:
 
 def _substitute(factors: _Few | _Many, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
     if isinstance(factors, _Many):
-        near = jnp.matmul(factors.inverse, right, precision="highest")
+        estimate = jnp.matmul(factors.inverse, right, precision="highest")
         # Refine with the residual: a product with the inverse alone rounds more than substitution.
-        left = right - jnp.matmul(factors.matrix, near, precision="highest")
-        return near + jnp.matmul(factors.inverse, left, precision="highest")
-    found: list[Array] = []
+        residual = right - jnp.matmul(factors.matrix, estimate, precision="highest")
+        return estimate + jnp.matmul(factors.inverse, residual, precision="highest")
+    solution: list[Array] = []
     for i, row in enumerate(factors.lower):
-        found.append(right[i] - _dot(row, found[:i]))
-    found = [entry * factor for entry, factor in zip(found, factors.inverse, strict=True)]
-    for i in reversed(range(len(found))):
-        found[i] = found[i] - _dot([row[i] for row in factors.lower[i + 1 :]], found[i + 1 :])
-    return jnp.stack(found)
+        solution.append(right[i] - _dot(row, solution[:i]))
+    solution = [entry * factor for entry, factor in zip(solution, factors.inverse, strict=True)]
+    for i in reversed(range(len(solution))):
+        solution[i] = solution[i] - _dot([row[i] for row in factors.lower[i + 1 :]], solution[i + 1 :])
+    return jnp.stack(solution)
 
 
 def _matrix(rows: Rows) -> Float[Array, "nv nv"]:

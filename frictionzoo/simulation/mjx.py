@@ -22,10 +22,8 @@ with contextlib.redirect_stdout(io.StringIO()):  # mujoco.mjx prints that its op
     from mujoco.mjx._src import derivative
 
 _FUSED_JOINTS = 4  # largest number of joints for which fusion was measured to save time
-_TOLERANCE = 1e-12
-"""Tolerance of MJX's solver: at 1e-8 it stops short of the minimum that MuJoCo C's exact line search reaches."""
-_SLIDES_ONLY = 2
-"""MuJoCo's body_simple of a body that only slides along its axes: its dof_invweight0 leaves the armature out."""
+_TOLERANCE = 1e-12  # of MJX's solver; 1e-8 stops short of the minimum that MuJoCo C's exact line search reaches
+_SLIDES_ONLY = 2  # body_simple of a body that only slides along its axes; its dof_invweight0 leaves the armature out
 
 
 class ModelInputs(NamedTuple):
@@ -54,16 +52,12 @@ class ModelInputs(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """Torques and coefficients in one state, without friction and the links' inertia.
+    """Torques and coefficients in one state, without friction and the links' inertia; names as in `Dynamics`.
 
     Attributes:
-        armature: Armature [kg m^2 or kg].
         displacement: Displacement of the joints from their reference position [rad or m].
-        motor_torque: Torque of the actuators [N m or N].
         passive_torque: Torque of springs, dampers and everything else in the MJCF [N m or N].
         implicit: The integrator's addition to the inertia, without the friction model's damping, of shape (nv, nv).
-        constraint_inertia: `efc_D` of the friction constraint's rows [kg m^2 or kg]; empty without constraint.
-        constraint_reference: `efc_aref` of these rows [rad/s^2 or m/s^2].
     """
 
     armature: Any
@@ -78,16 +72,13 @@ class Acting(NamedTuple):
 class MjxEngine(Engine):
     """Engine that steps a bench with MJX's functions.
 
-    The step is `mjx.step`, split where a friction model needs access: after positions, velocities and actuators, before
-    accelerations. Friction enters as MuJoCo's joint damping, as the limit of its friction constraint, and as a
-    generalised force.
+    The step is `mjx.step`, split after positions, velocities and actuators, where the friction model needs access.
+    Friction enters as MuJoCo's joint damping, as the limit of its friction constraint, and as a generalised force.
 
     Args:
-        bench: The bench to simulate.
-        friction: The friction model's formula over `jax.numpy`.
         constraint: Whether the model returns a `frictionloss`, or for which joints; it is 0 for the others.
-        fields: Link properties that differ between similar branches: field and place of each. The load holds their
-            values in front of the joint-space inertia.
+        fields: Field and place of each link property that differs between similar branches. The load holds their values
+            in front of the joint-space inertia.
     """
 
     name = "mjx"
@@ -101,8 +92,7 @@ class MjxEngine(Engine):
         fields: Sequence[tuple[str, int]] = (),
     ) -> None:
         model = bench.compile(constraint)
-        # For one joint a single Newton iteration is exact. Only then does MJX avoid a while loop, which has no reverse
-        # mode.
+        # One Newton iteration is exact for one joint, and lets MJX avoid a while loop, which has no reverse mode.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
         model.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
         fused = bench.nv <= _FUSED_JOINTS
@@ -164,10 +154,10 @@ class MjxEngine(Engine):
         """Return the model fields that depend on these values and this load."""
         armature = jnp.asarray(values["bench"]["armature"], jnp.result_type(float))
         affine = self.bench.actuator.affine(values["bench"])
-        # MuJoCo computes dof_invweight0 at compilation, and the friction constraint's softness depends on it. It has to
-        # follow the armature, else the exported model would have different friction.
-        own = len(self._fields) or INERTIAL
-        inertial, rigid = load[:own], load[own:].reshape(2 * [self.bench.nv] if len(load) else (0, 0))
+        # MuJoCo computes dof_invweight0 at compilation; it sets the friction constraint's softness. It must follow the
+        # armature, else the exported model would have different friction.
+        count = len(self._fields) or INERTIAL
+        inertial, rigid = load[:count], load[count:].reshape(2 * [self.bench.nv] if len(load) else (0, 0))
         rigid = rigid if len(load) else jnp.asarray(self._rigid_inertia, armature.dtype)
         inverse = jnp.stack([solve_spd(rigid + jnp.diag(armature), unit) for unit in jnp.eye(len(rigid))])
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
@@ -229,12 +219,12 @@ class MjxEngine(Engine):
         if len(inputs.reference):
             model = model.replace(qpos0=inputs.reference)
         for name in dict.fromkeys(name for name, _ in self._fields):
-            known = getattr(model, name)
-            entries = list(known.ravel())
+            array = getattr(model, name)
+            entries = list(array.ravel())
             for link, (field, place) in zip(inputs.links, self._fields, strict=True):
                 if field == name:
                     entries[place] = link
-            model = model.replace(**{name: jnp.stack(entries).reshape(known.shape)})
+            model = model.replace(**{name: jnp.stack(entries).reshape(array.shape)})
         data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
         data = mjx.fwd_position(model, data)
         data = mjx.fwd_velocity(model, data)
@@ -253,15 +243,12 @@ class MjxEngine(Engine):
 
 
 def _jacobians(model: mujoco.MjModel) -> tuple[Float[np.ndarray, "bodies 2 3 nv"], Float[np.ndarray, "tendons 1 nv"]]:
-    """Return the Jacobians of bodies' centres of mass and of tendons at the reference position.
-
-    Bodies have translation and rotation. There are none if no constraint acts on bodies: their inverse inertia, which
-    sets the softness of contacts and equalities, is then not needed.
-    """
+    """Return the Jacobians of bodies' centres of mass and of tendons at the reference position."""
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon):
         stage(model, data)
+    # Only the softness of contacts and equalities needs the bodies' inverse inertia.
     bodies = np.zeros((model.nbody if model.neq or model.npair or can_collide(model) else 0, 2, 3, model.nv))
     for index, (along, around) in enumerate(bodies):
         if model.body_weldid[index]:

@@ -1,4 +1,4 @@
-"""Verification: steps of an engine against steps of MuJoCo C, for a given bench and friction model."""
+"""Verification: steps of an engine against steps of MuJoCo C, for one bench and friction model."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -24,23 +24,16 @@ from frictionzoo.simulation.drive import Drive
 TOLERANCE = 1e-9
 """Largest difference of a position or velocity that counts as rounding, relative for values above 1."""
 _CASES, _STEPS = 16, 8
-_BEYOND = 0.5  # distance of states beyond the recorded range, on each side, as a share of it
+_BEYOND = 0.5  # reach of states beyond the recorded range, on each side, as a share of it
 _MOVED = 0.05  # distance of values from the initial ones, as a share of the distance between the bounds
 _OVERFLOW = 1e6  # of a position or velocity
 _TRIALS = 40  # reduced MJCFs to try
+# XLA options for functions that run once.
 _ONCE = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""XLA options for functions that run once."""
 
 
 class Recorded(NamedTuple):
-    """Recorded samples of a bench, one row each.
-
-    Attributes:
-        qpos: Position [rad or m].
-        qvel: Velocity [rad/s or m/s].
-        signals: Driving signals, each of shape (samples, nv).
-        load: Effect of the payload on the bench's MuJoCo model, from `Bench.load`.
-    """
+    """Recorded samples of a bench, one row each; `load` is the payload's effect, from `Bench.load`."""
 
     qpos: Float[np.ndarray, "samples nv"]
     qvel: Float[np.ndarray, "samples nv"]
@@ -55,7 +48,7 @@ class Recorded(NamedTuple):
 
 
 class Cases(NamedTuple):
-    """Short rollouts to compare: initial states of shape (cases, nv), signals each of shape (cases, steps, nv)."""
+    """Short rollouts to compare: initial states, and signals each of shape (cases, steps, nv)."""
 
     qpos: Float[np.ndarray, "cases nv"]
     qvel: Float[np.ndarray, "cases nv"]
@@ -91,8 +84,7 @@ def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recor
 
     Half of the rollouts begin at recorded states, the others anywhere in the log's range and beyond. Each runs in
     float64 with the given values and with others near them. MuJoCo C is independent of the engine: torch computes the
-    model's terms from `mujoco`'s state, and they enter as joint damping, as the limit of the friction constraint, and
-    as an applied force.
+    model's terms from `mujoco`'s state; they enter as joint damping, friction constraint limit, and applied force.
 
     Raises:
         BenchError: They differ by more than `TOLERANCE`; the message names the MJCF element whose removal alone
@@ -103,11 +95,11 @@ def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recor
     step, rollout = _compare(bench, model, engine, compared, cases)
     if not rollout <= TOLERANCE:
         fault = _find_fault(bench, model, engine, compared, cases)
-        what = "something in the MJCF" if fault is None else fault
-        unit = "" if fault is None else "; leave it out of the MJCF, or fix what it acts on"
+        part = "something in the MJCF" if fault is None else fault
+        advice = "" if fault is None else "; leave it out of the MJCF, or fix what it acts on"
         raise BenchError(
-            f"{bench.source}: engine={engine} does not simulate {what} as MuJoCo C does (position or velocity differ "
-            f"by {step:.2g} after a step and {rollout:.2g} after {_STEPS}, expected at most {TOLERANCE:g}){unit}"
+            f"{bench.source}: engine={engine} does not simulate {part} as MuJoCo C does (position or velocity differ "
+            f"by {step:.2g} after a step and {rollout:.2g} after {_STEPS}, expected at most {TOLERANCE:g}){advice}"
         )
     return Proof(float(step), float(rollout), 2 * _CASES, _STEPS)
 
@@ -130,19 +122,19 @@ def _draw(recorded: Recorded) -> Cases:
 
 
 def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
-    """Return values near these, to compare their effect in the exported model too; weights stay."""
+    """Return values near these, which also compares their effect in the exported model; weights stay."""
     rng = np.random.default_rng(1)
-    moved = {owner: dict(known) for owner, known in values.items()}
+    moved = {owner: dict(section) for owner, section in values.items()}
     for owner, params in (("bench", bench.params), ("friction", model.params)):
         for name, param in params.items():
             if not param.is_identified:
                 continue
-            own, value = param.members(bench.nv), np.array(moved[owner][name])
-            free = param.each("identify", bench.nv)[own]
-            low, high = (param.to_coordinate(param.each(side, bench.nv)[own], np)[free] for side in ("low", "high"))
-            at = param.to_coordinate(value[free], np)
-            away = _MOVED * (high - low) * rng.uniform(-1, 1, np.shape(at))
-            value[free] = param.from_coordinate(np.clip(at + away, low, high), np)
+            members, value = param.members(bench.nv), np.array(moved[owner][name])
+            free = param.each("identify", bench.nv)[members]
+            low, high = (param.to_coordinate(param.each(side, bench.nv)[members], np)[free] for side in ("low", "high"))
+            coordinates = param.to_coordinate(value[free], np)
+            shift = _MOVED * (high - low) * rng.uniform(-1, 1, np.shape(coordinates))
+            value[free] = param.from_coordinate(np.clip(coordinates + shift, low, high), np)
             moved[owner][name] = value
     return moved
 
@@ -150,12 +142,10 @@ def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
 def _compare(
     bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases
 ) -> tuple[float, float]:
-    """Return the largest difference after the first step and after any; infinite if the engine's value is not finite.
-
-    After an overflow MuJoCo C restarts, so later steps are not compared.
-    """
+    """Return the largest difference after the first step and after any; infinite if the engine's is not finite."""
     ours = _in_engine(bench, model, engine, values, cases)
-    theirs = np.stack([simulate_in_c(bench, model, each, cases)[:2] for each in values])
+    theirs = np.stack([simulate_in_c(bench, model, trial, cases)[:2] for trial in values])
+    # MuJoCo C restarts after an overflow, so later steps are not compared.
     sound = np.logical_and.accumulate((np.abs(theirs) < _OVERFLOW).all(axis=(1, 4)), axis=2)[:, None, ..., None]
     with np.errstate(invalid="ignore", over="ignore"):
         difference = np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs))
@@ -169,20 +159,14 @@ def _in_engine(
     with jax.enable_x64(True), naming_what_mjx_lacks(bench):
         rollout = Drive.assemble(bench, copy.deepcopy(model), engine).rollout
         simulate = replace(rollout, forward_options={**rollout.forward_options, **_ONCE}).compiled
-        known = [jax.tree.map(lambda value: np.asarray(value, np.float64), _without_delay(each)) for each in values]
-        return np.stack([[np.asarray(part) for part in simulate(each, *cases)] for each in known])
+        trials = [jax.tree.map(lambda value: np.asarray(value, np.float64), _without_delay(trial)) for trial in values]
+        return np.stack([[np.asarray(part) for part in simulate(trial, *cases)] for trial in trials])
 
 
 def simulate_in_c(
     bench: Bench, model: FrictionModel, values: Values, cases: Cases
 ) -> Float[np.ndarray, "3 cases steps nv"]:
-    """Simulate rollouts in MuJoCo C without the engines; the friction terms are computed in torch.
-
-    Args:
-        bench: The test stand.
-        model: The friction model.
-        values: Values of both; commands act in their own step, without delay.
-        cases: Initial states, and signals of each simulation step.
+    """Simulate rollouts in MuJoCo C without the engines; torch computes the friction terms, and delays are ignored.
 
     Returns:
         Position [rad or m] and velocity [rad/s or m/s] after each step, and the actuators' torque [N m or N] in it; NaN
@@ -191,20 +175,20 @@ def simulate_in_c(
     values = _without_delay(values)
     text = bench.mjcf(values["bench"], np.array(model.constrained, float) if model.constraint else None)
     compiled = mujoco.MjModel.from_xml_string(text)
-    own, law = compiled.dof_damping.copy(), _Law(model, values["friction"], float(compiled.opt.timestep))
+    damping, law = compiled.dof_damping.copy(), _Law(model, values["friction"], float(compiled.opt.timestep))
     worlds = [_World(bench, compiled, *case) for case in zip(cases.qpos, cases.qvel, cases.load, strict=True)]
-    found = np.empty((3, *cases.signals.ctrl.shape))
+    results = np.empty((3, *cases.signals.ctrl.shape))
     for step in range(cases.signals.ctrl.shape[1]):
         qpos, qvel = (np.array([getattr(world.data, name) for world in worlds]) for name in ("qpos", "qvel"))
         signals = cases.signals.map(itemgetter((slice(None), step)))
         control = bench.actuator.control(np, values["bench"], qpos, qvel, signals.ctrl, signals.inputs)
-        torques = zip(*(world.drive(ctrl, own) for world, ctrl in zip(worlds, control, strict=True)), strict=True)
-        motor, others = map(np.array, torques)
-        terms = law(DriveState(qpos, qvel, signals.ctrl, motor, others, **signals.observed))
+        torques = zip(*(world.drive(ctrl, damping) for world, ctrl in zip(worlds, control, strict=True)), strict=True)
+        motor, external = map(np.array, torques)
+        terms = law(DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed))
         for index, world in enumerate(worlds):
-            world.step(own, *(None if term is None else term[index] for term in terms))
-            found[:, index, step] = world.data.qpos, world.data.qvel, motor[index]
-    return found
+            world.step(damping, *(None if term is None else term[index] for term in terms))
+            results[:, index, step] = world.data.qpos, world.data.qvel, motor[index]
+    return results
 
 
 def _without_delay(values: Values) -> dict[str, Mapping[str, Any]]:
@@ -222,19 +206,16 @@ class _Law:
         self._timestep = timestep
 
     def __call__(self, state: DriveState) -> tuple[np.ndarray | None, ...]:
-        """Return the terms for each case's state, of shape (cases, nv)."""
-        seen = state.map(lambda signal: torch.tensor(signal, dtype=torch.float64))
+        tensors = state.map(lambda signal: torch.tensor(signal, dtype=torch.float64))
         with torch.no_grad():
             if self._memory is None:
-                self._memory = self._model.settle(torch, self._values, seen)
-            terms, self._memory = self._model.advance(torch, self._values, seen, self._memory, self._timestep)
+                self._memory = self._model.settle(torch, self._values, tensors)
+            terms, self._memory = self._model.advance(torch, self._values, tensors, self._memory, self._timestep)
         shape = state.qvel.shape
         return tuple(None if term is None else np.broadcast_to(term.numpy(), shape) for term in terms)
 
 
 class _World:
-    """One case in MuJoCo C."""
-
     def __init__(self, bench: Bench, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, load: np.ndarray):
         self.model = copy.copy(model)
         bench.put_load(self.model, load)
@@ -262,7 +243,7 @@ class _World:
         if damping is not None:
             self.model.dof_damping[:] = own + damping
         mujoco.mj_forward(self.model, self.data)
-        # mj_step would write a warning into a file and restart.
+        # mj_step would write a warning file and restart.
         if np.abs(self.data.qacc).max() < _OVERFLOW / self.model.opt.timestep:
             mujoco.mj_step(self.model, self.data)
         else:
@@ -270,20 +251,20 @@ class _World:
 
 
 def _find_fault(bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases) -> str | None:
-    """Return, in words, the MJCF part whose removal makes the engine agree with MuJoCo C; None if there is none."""
-    as_it_is, trials = simulate_in_c(bench, model, values[0], cases), []
-    for what, other in bench.simpler():
+    """Return the MJCF part, in words, whose removal makes the engine agree with MuJoCo C; None if there is none."""
+    reference, trials = simulate_in_c(bench, model, values[0], cases), []
+    for part, simpler in bench.simpler():
         try:
-            changes = not np.array_equal(simulate_in_c(other, model, values[0], cases), as_it_is)
+            changes = not np.array_equal(simulate_in_c(simpler, model, values[0], cases), reference)
         except (FrictionzooError, ValueError):
             continue
-        trials.append((not changes, what, other))
+        trials.append((not changes, part, simpler))
     # Parts that change MuJoCo C's result come first.
-    for _, what, other in sorted(trials, key=lambda trial: trial[0])[:_TRIALS]:
+    for _, part, simpler in sorted(trials, key=lambda trial: trial[0])[:_TRIALS]:
         try:
-            agrees = _compare(other, model, engine, values, cases)[1] <= TOLERANCE
+            agrees = _compare(simpler, model, engine, values, cases)[1] <= TOLERANCE
         except FrictionzooError:
             continue
         if agrees:
-            return what
+            return part
     return None

@@ -28,14 +28,7 @@ class Rollout:
     returns qpos and qvel after each sample interval, of shape (batch, time, nv). A diverging rollout contains
     non-finite values.
 
-    Attributes:
-        function: The rollout, not compiled.
-        compiler_options: Options for `jax.jit` of code that contains it, as in `Engine`.
-        forward_options: The same without a reverse sweep.
-        forward_limit: Largest number of tangents for which forward mode is faster than a reverse sweep.
-        reverse: Whether it has a reverse mode.
-        branches: Number of each joint's branch, from 0; joints of different branches do not move each other.
-        keeps_slopes: As in `Engine`.
+    `function` is the rollout, not compiled; the other attributes are as in `Engine`.
     """
 
     function: Callable[..., tuple[Any, Any]]
@@ -56,24 +49,15 @@ class Rollout:
         return self.compile(self.function, forward=True)
 
     def compile(self, function: Callable[..., Any], forward: bool = False) -> Any:
-        """Apply `jax.jit` to a function that calls this rollout.
-
-        Args:
-            function: The function to compile.
-            forward: Whether it has no reverse sweep.
-        """
+        """Apply `jax.jit` to a function that calls this rollout; `forward` if it has no reverse sweep."""
         return jax.jit(function, compiler_options=dict(self.forward_options if forward else self.compiler_options))
 
 
 def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
-    """Make the rollouts of an engine.
+    """Make the rollouts of an engine; without `sampling`, each step is a sample and there is no delay.
 
     Steps carry only position, velocity and the friction model's memory, so reverse mode stores little. The memory
     begins as if each segment's first state had lasted.
-
-    Args:
-        engine: The engine of the drive.
-        sampling: Relation of samples to simulation steps; None: one step a sample, and no delay.
     """
     sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
     second = SecondOrder(engine.bench, engine.friction) if sampling.second_order else None
@@ -103,15 +87,15 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         def advance(state: State, steps: Signals) -> tuple[State, tuple[Array, Array]]:
             several = sampling.substeps > 1
             state = jax.lax.scan(step, state, steps)[0] if several else step(state, steps.map(itemgetter(0)))[0]
-            read = state[0] if second is None else second.read(*state[:2])
-            return state, (read, state[1])
+            position = state[0] if second is None else second.read(*state[:2])
+            return state, (position, state[1])
 
         acting = applied(values, signals, sampling).map(lambda signal: jnp.moveaxis(signal, 0, 2))
         memory = started(values, qpos, qvel, acting.map(itemgetter((0, 0))), load)
-        begun = qpos, qvel, memory, qvel[:, :0]
+        start = qpos, qvel, memory, qvel[:, :0]
         if second is not None:
-            begun = second.begin(qpos, qvel), qvel, memory, qvel
-        _, (positions, velocities) = jax.lax.scan(advance, begun, acting)
+            start = second.begin(qpos, qvel), qvel, memory, qvel
+        _, (positions, velocities) = jax.lax.scan(advance, start, acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
     options = engine.compiler_options, engine.forward_options
@@ -123,7 +107,7 @@ def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveStat
 
     Returns:
         Function of values, qpos and qvel of shape (batch, time, nv), signals as in `Segments` and loads of shape
-        (batch, load), which returns a state of shape (batch, time, nv).
+        (batch, load); it returns a state of shape (batch, time, nv).
     """
     over_time = jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0, None))
     over_batch = jax.vmap(over_time, in_axes=(None, 0, 0, 0, 0))
@@ -136,18 +120,11 @@ def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveStat
 
 
 def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
-    """Return the signals that act in each simulation step: commands with the bench's delay, and the other inputs.
+    """Return the signals that act in each simulation step, each of shape (batch, time, substeps, nv).
 
-    A command is held until the next one. In the step in which a delayed command changes, their mean over the step acts,
-    so the rollout depends continuously on the delay, also within a sample or a step.
-
-    Args:
-        values: Values, with `bench.delay` [s], of shape (nv,), if commands are delayed.
-        signals: Samples of shape (batch, samples, nv), as in `Segments`.
-        sampling: Relation of samples to simulation steps.
-
-    Returns:
-        Signals, each of shape (batch, time, substeps, nv).
+    Commands have the bench's delay [s], if `values` contain one. A command is held until the next one. In the step in
+    which a delayed command changes, their mean over the step acts, so the rollout depends continuously on the delay,
+    also within a sample or a step. The samples have the shape (batch, samples, nv), as in `Segments`.
     """
     interval, substeps, history, commands, _ = sampling
 
@@ -155,22 +132,22 @@ def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
         now = signal[:, history:]
         return jnp.broadcast_to(now[:, :, None], (*now.shape[:2], substeps, now.shape[2]))
 
-    held = signals.map(hold)
+    undelayed = signals.map(hold)
     delay = values["bench"].get("delay")
     if delay is None:
-        return held
-    # A delayed step begins at a share `later` between two of the steps in which commands are held.
-    early = -delay * substeps / interval
-    whole = jax.lax.stop_gradient(jnp.floor(early))
-    later = early - whole
-    step = jnp.arange(substeps)[:, None] + whole.astype(int)
-    sample = history + jnp.arange(held.ctrl.shape[1])[:, None, None]
+        return undelayed
+    # A delayed step begins at a fraction between two of the steps in which commands are held.
+    offset = -delay * substeps / interval
+    whole_steps = jax.lax.stop_gradient(jnp.floor(offset))
+    fraction = offset - whole_steps
+    step = jnp.arange(substeps)[:, None] + whole_steps.astype(int)
+    sample = history + jnp.arange(undelayed.ctrl.shape[1])[:, None, None]
     joint = jnp.arange(len(delay))
 
     def act(command: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
-        late = (1 - later) * command[:, sample + step // substeps, joint]
-        known = jnp.concatenate([command, command[:, -1:]], axis=1)  # padding for no delay, of weight 0
-        return late + later * known[:, sample + (step + 1) // substeps, joint]
+        late = (1 - fraction) * command[:, sample + step // substeps, joint]
+        padded = jnp.concatenate([command, command[:, -1:]], axis=1)  # padding for no delay, of weight 0
+        return late + fraction * padded[:, sample + (step + 1) // substeps, joint]
 
     late = {name: act(signals.inputs[name]) for name in commands}
-    return held._replace(ctrl=act(signals.ctrl), inputs=held.inputs | late)
+    return undelayed._replace(ctrl=act(signals.ctrl), inputs=undelayed.inputs | late)

@@ -20,17 +20,14 @@ class SecondOrder:
     A step is a kick at q, then a drift over the whole step. With q = Q + h/2 v it is position Verlet in Q: half a
     drift, a kick, half a drift. A rollout therefore begins at Q + h/2 v and reads Q = q - h/2 v. A torque -d v belongs
     at the mean of the velocities before and after the kick. If the integrator takes it before the kick, an armature
-    larger by h/2 d has this effect; if after the kick, one smaller by h/2 d.
+    larger by h/2 d has this effect; if after the kick, one smaller by h/2 d. The friction model's memory is not
+    differentiated.
 
     Source: E. Hairer, C. Lubich, G. Wanner, "Geometric numerical integration illustrated by the Stoermer-Verlet
     method", Acta Numerica 12, 2003, section 1.
 
     Attributes:
         rigid: Whether dry friction at MuJoCo's stiffness limit stands for friction that does not creep.
-
-    Args:
-        bench: The simulated bench.
-        friction: The friction model. Its memory is not differentiated.
     """
 
     def __init__(self, bench: Bench, friction: Friction) -> None:
@@ -54,26 +51,26 @@ class SecondOrder:
 
     def adapt(self, values: Values, qpos: Array, qvel: Array, signals: Signals, memory: Array) -> Values:
         """Return the values with the armature that makes the step from this state a midpoint step."""
-        known = values["bench"]
-        armature = known["armature"]
-        more = self._half * self._slope(values, qpos, qvel, signals, memory)
-        return {**values, "bench": {**known, "armature": armature + jnp.maximum(more, -_MOST * armature)}}
+        bench_values = values["bench"]
+        armature = bench_values["armature"]
+        increase = self._half * self._slope(values, qpos, qvel, signals, memory)
+        return {**values, "bench": {**bench_values, "armature": armature + jnp.maximum(increase, -_MOST * armature)}}
 
     def surplus(self, values: Values, qpos: Array, qvel: Array, signals: Signals) -> Float[Array, "nv"]:
         """Return the armature that `adapt` adds [kg m^2], its median over states of shape (samples, nv)."""
 
         def of_one(qpos: Array, qvel: Array, signals: Signals) -> Array:
             zero = jnp.zeros_like(qpos)
-            seen = DriveState(qpos, qvel, signals.ctrl, zero, zero, **signals.observed)
-            memory = self._friction.settle(values["friction"], seen)
+            state = DriveState(qpos, qvel, signals.ctrl, zero, zero, **signals.observed)
+            memory = self._friction.settle(values["friction"], state)
             return self._half * self._slope(values, qpos, qvel, signals, memory)
 
         return jnp.median(jax.vmap(of_one)(qpos, qvel, signals), axis=0)
 
     def _slope(self, values: Values, qpos: Array, qvel: Array, signals: Signals, memory: Array) -> Float[Array, "nv"]:
         """Return the damping, the fall of torque over velocity [N m s/rad]; implicit torques count negatively."""
-        known, ones = values["bench"], jnp.ones_like(qvel)
-        affine = self._bench.actuator.affine(known)
+        bench_values, ones = values["bench"], jnp.ones_like(qvel)
+        affine = self._bench.actuator.affine(bench_values)
 
         def brake(velocity: Array) -> tuple[Array, Array]:
             """Return the torques against the motion without the affine actuator's, and MuJoCo's damping."""

@@ -20,26 +20,23 @@ from frictionzoo.simulation.fold import CannotSpecialiseError
 from frictionzoo.simulation.groups import Dynamics, groups_of
 from frictionzoo.simulation.linear import FEW_JOINTS, add_diagonal, solve_rows
 
+# Largest number of joints in a branch for which fusion was measured to save time: rollouts and tangents run two to five
+# times as fast with it, reverse sweeps up to twice.
 _FUSED_FORWARD, _FUSED_REVERSE = 6, 4
-"""Largest number of joints in a branch for which fusion was measured to save time.
-
-Rollouts and their tangents run two to five times as fast with it, reverse sweeps up to twice.
-"""
 
 
 class SpecialisedEngine(Engine):
-    """Engine that steps a bench with its dynamics specialised for this very MJCF.
+    """Engine that steps a bench with its dynamics specialised for its MJCF.
 
-    The links' dynamics in link frames, and MJX's actuators, passive torques and coefficients of the friction constraint
-    are partially evaluated once by `specialise`. The rest is written here: MuJoCo's semi-implicit Euler and
-    implicitfast integrators, and its friction constraint. Branches that do not move each other are simulated in
-    parallel, similar ones by one function of the properties that differ.
+    `specialise` partially evaluates the links' dynamics in link frames, and MJX's actuators, passive torques and
+    coefficients of the friction constraint. The rest is written here: MuJoCo's semi-implicit Euler and implicitfast
+    integrators, and its friction constraint. Branches that do not move each other are simulated in parallel, similar
+    ones by one function of the properties that differ.
 
     Source: MuJoCo documentation, "Computation": "Numerical integration" and "Constraint model".
 
     Args:
         bench: The bench to simulate: hinges or slides, without contacts, limits, tendons and equalities.
-        friction: The friction model's formula over `jax.numpy`.
         constraint: Whether the model returns a `frictionloss`, or for which joints; it is 0 for the others.
 
     Raises:
@@ -54,7 +51,7 @@ class SpecialisedEngine(Engine):
         _refuse_other_constraints(model)
         self._groups = groups_of(bench, not model.opt.disableflags & NO_FRICTION_CONSTRAINT)
         self.branches = bench.branches
-        operations = (f"{len(of.joints)} x {of.operations}".removeprefix("1 x ") for of in self._groups)
+        operations = (f"{len(part.joints)} x {part.operations}".removeprefix("1 x ") for part in self._groups)
         self.note: str = f"the dynamics come down to {' + '.join(operations)} scalar operations"
         self._order = np.argsort(np.concatenate([group.joints.ravel() for group in self._groups]))
         self.bench = bench
@@ -65,10 +62,10 @@ class SpecialisedEngine(Engine):
         self._damper = not flags & mujoco.mjtDisableBit.mjDSBL_DAMPER
         euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
         self._damps_implicitly = not flags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else self._damper
-        most = max(group.joints.shape[1] for group in self._groups)
-        self.compiler_options: Mapping[str, Any] = {} if most <= _FUSED_REVERSE else UNFUSED
-        self.forward_options: Mapping[str, Any] = FORWARD if most <= _FUSED_FORWARD else UNFUSED
-        self.keeps_slopes: bool = bench.nv > 1 and most <= FEW_JOINTS  # for one joint, a single program compiles faster
+        joints = max(group.joints.shape[1] for group in self._groups)
+        self.compiler_options: Mapping[str, Any] = {} if joints <= _FUSED_REVERSE else UNFUSED
+        self.forward_options: Mapping[str, Any] = FORWARD if joints <= _FUSED_FORWARD else UNFUSED
+        self.keeps_slopes: bool = bench.nv > 1 and joints <= FEW_JOINTS  # for one joint, one program compiles faster
 
     def step(
         self,
@@ -82,14 +79,14 @@ class SpecialisedEngine(Engine):
         midway: Array | None = None,
     ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
-        here = self._at(values, qpos, qvel, signals, load, midway)
-        state = self._drive_state(qpos, qvel, signals, here)
+        dynamics = self._at(values, qpos, qvel, signals, load, midway)
+        state = self._drive_state(qpos, qvel, signals, dynamics)
         terms, memory = self.friction.advance(values["friction"], state, memory, self._timestep)
         terms = FrictionTerms(*(term if term is None else jnp.broadcast_to(term, qvel.shape) for term in terms))
         accelerate = partial(self._accelerate, rigid)
         steps = [
-            group.each(accelerate, of, qvel[group.joints], jax.tree.map(operator.itemgetter(group.joints), terms))
-            for group, of in zip(self._groups, here, strict=True)
+            group.each(accelerate, branches, qvel[group.joints], jax.tree.map(operator.itemgetter(group.joints), terms))
+            for group, branches in zip(self._groups, dynamics, strict=True)
         ]
         accelerations, shifts = (self._join(parts) for parts in zip(*steps, strict=True))
         qvel = qvel + self._timestep * accelerations
@@ -126,13 +123,15 @@ class SpecialisedEngine(Engine):
         return [group.dynamics(values, load, qpos, qvel, midway, ctrl) for group in self._groups]
 
     def _drive_state(self, qpos: Array, qvel: Array, signals: Signals, here: list[Dynamics]) -> DriveState:
-        torques = (self._join([getattr(of, name) for of in here]) for name in ("motor_torque", "external_torque"))
+        torques = (
+            self._join([getattr(dynamics, name) for dynamics in here]) for name in ("motor_torque", "external_torque")
+        )
         return DriveState(qpos, qvel, signals.ctrl, *torques, **signals.observed)
 
     def _join(self, parts: Sequence[Float[Array, "_ _"]]) -> Float[Array, "nv"]:
         """Join values by group into the order of the bench's joints."""
-        whole = jnp.concatenate([part.ravel() for part in parts]) if len(parts) > 1 else parts[0].ravel()
-        return whole if len(parts[0]) == len(parts) == 1 else whole[self._order]
+        joined = jnp.concatenate([part.ravel() for part in parts]) if len(parts) > 1 else parts[0].ravel()
+        return joined if len(parts[0]) == len(parts) == 1 else joined[self._order]
 
 
 def _refuse_other_constraints(model: mujoco.MjModel) -> None:

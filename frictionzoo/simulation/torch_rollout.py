@@ -27,11 +27,8 @@ AS_GIVEN: Friction = without_memory(lambda values, state: FrictionTerms(**values
 class TorchRollout(Rollout):
     """Many open-loop rollouts with a torch-only friction model.
 
-    It takes and returns arrays like every `Rollout`, but JAX can neither compile nor differentiate it.
-
-    Attributes:
-        in_torch: The same over torch tensors, with torch's gradient.
-        law: The friction model's name, for messages.
+    It takes and returns arrays like every `Rollout`, but JAX can neither compile nor differentiate it. `in_torch` is
+    the same over torch tensors, with torch's gradient; `law` is the friction model's name, for messages.
     """
 
     in_torch: Callable[..., tuple[torch.Tensor, torch.Tensor]]
@@ -47,7 +44,7 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
     """Make the rollouts of an engine with a friction model in torch.
 
     A step of all segments is compiled once. The model's input, its terms and the next state cross between JAX and torch
-    through DLPack. The gradient returns the same way, by the vector-Jacobian product of the engine's step.
+    through DLPack; the gradient returns the same way, by the vector-Jacobian product of the engine's step.
 
     Raises:
         ConfigError: Rollouts are to be of second order.
@@ -74,16 +71,16 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
     def in_torch(
         values: Any, qpos: torch.Tensor, qvel: torch.Tensor, signals: Signals, load: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        known = values["bench"]
+        bench_values = values["bench"]
         load = qpos.new_zeros((len(qpos), 0)) if load is None else load
-        acting = acting_of(known, signals).map(torch.unbind)  # one autograd node, not one a step
+        acting = acting_of(bench_values, signals).map(torch.unbind)  # one autograd node, not one a step
         steps = [acting.map(itemgetter(number)) for number in range(len(acting.ctrl))]
-        torques = observe(known, qpos, qvel, steps[0], load)
+        torques = observe(bench_values, qpos, qvel, steps[0], load)
         states = []
         for now, following in zip(steps, [*steps[1:], steps[-1]], strict=True):
-            seen = DriveState(qpos, qvel, now.ctrl, *torques, **now.observed)
-            terms = _whole(label, model.terms(torch, values["friction"], seen), qvel)
-            qpos, qvel, *torques = step(known, terms, qpos, qvel, now, following, load)
+            state = DriveState(qpos, qvel, now.ctrl, *torques, **now.observed)
+            terms = _whole(label, model.terms(torch, values["friction"], state), qvel)
+            qpos, qvel, *torques = step(bench_values, terms, qpos, qvel, now, following, load)
             states.append((qpos, qvel))
         positions, velocities = zip(*states[sampling.substeps - 1 :: sampling.substeps], strict=True)
         return torch.stack(positions, dim=1), torch.stack(velocities, dim=1)
@@ -120,10 +117,8 @@ def _step(
     following: Signals,
     load: Float[Array, "load"],
 ) -> tuple[Float[Array, "nv"], ...]:
-    """Return the state after a step with these friction terms, and the torques that the model reads there.
-
-    One operation, because crossing between JAX and torch costs more than a small bench's physics.
-    """
+    """Return the state after a step with these friction terms, and the torques that the model reads there."""
+    # One operation, because crossing between JAX and torch costs more than a small bench's physics.
     memory = jnp.zeros((*qvel.shape, 0), qvel.dtype)
     qpos, qvel, _ = engine.step({"bench": bench, "friction": terms}, qpos, qvel, now, load, memory)
     return qpos, qvel, *_observe(engine, bench, qpos, qvel, following, load)
@@ -136,8 +131,8 @@ def _whole(label: str, terms: Any, qvel: torch.Tensor) -> dict[str, torch.Tensor
         raise ModelError(f"{label}: its answer is a {type(terms).__name__}, {expected}")
     for name, term in terms.given().items():
         if not isinstance(term, torch.Tensor) or not _broadcasts(term.shape, qvel.shape):
-            came = f"shape {tuple(term.shape)}" if isinstance(term, torch.Tensor) else type(term).__name__
-            raise ModelError(f"{label}: {came} of its {name}, expected a tensor of shape {tuple(qvel.shape)}")
+            description = f"shape {tuple(term.shape)}" if isinstance(term, torch.Tensor) else type(term).__name__
+            raise ModelError(f"{label}: {description} of its {name}, expected a tensor of shape {tuple(qvel.shape)}")
     return {name: term.to(qvel.dtype).broadcast_to(qvel.shape) for name, term in terms.given().items()}
 
 

@@ -4,9 +4,9 @@ MJX computes in the world frame, in which almost nothing is constant. In link fr
 dynamics take a quarter of the operations, an arm's a third. Each link keeps only the mass properties that its joint can
 feel; those that the joint's rotation does not change move to the parent link.
 
-Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008 (recursive Newton-Euler, composite rigid bodies);
-W. Khalil, J.-F. Kleinfinger, "Minimum operations and minimum parameters of the dynamic models of tree structure
-robots", 1987.
+Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008 (recursive Newton-Euler, composite rigid bodies); W.
+Khalil, J.-F. Kleinfinger, "Minimum operations and minimum parameters of the dynamic models of tree structure robots",
+1987.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,6 @@ class Link(NamedTuple):
 
     Attributes:
         parent: Index of the parent link; -1 for the fixed world.
-        slides: Whether the joint is a slide.
         axis: Joint axis, a unit vector.
         turn: Rotation from this frame to the parent's at the reference position, of shape (3, 3).
         place: Origin in the parent's frame at the reference position [m].
@@ -63,25 +62,24 @@ class Pose(NamedTuple):
 def links_of(xp: ModuleType, model: Any) -> list[Link]:
     """Return the links of a model of hinges and slides, one a joint, in the joints' order.
 
-    Args:
-        xp: `numpy`, or `jax.numpy` if bodies' inertias are traced.
-        model: MuJoCo's compiled model, or an object with its fields.
+    `model` is MuJoCo's compiled model, or an object with its `FIELDS`; `xp` is `jax.numpy` if inertias of bodies are
+    traced.
     """
     links: list[Link] = []
     frames: list[tuple[int, Pose]] = []  # of each body: the link that carries it, and its pose in that link
     for body in range(model.nbody):
-        carrier, own = frames[model.body_parentid[body]] if body else (-1, Pose(np.eye(3), np.zeros(3)))
-        own = Pose(own.turn @ _rotation(np, model.body_quat[body]), own.place + own.turn @ model.body_pos[body])
-        first = int(model.body_jntadr[body])
-        for joint in range(first, first + int(model.body_jntnum[body])):
+        carrier, pose = frames[model.body_parentid[body]] if body else (-1, Pose(np.eye(3), np.zeros(3)))
+        pose = Pose(pose.turn @ _rotation(np, model.body_quat[body]), pose.place + pose.turn @ model.body_pos[body])
+        first_joint = int(model.body_jntadr[body])
+        for joint in range(first_joint, first_joint + int(model.body_jntnum[body])):
             anchor, slides = model.jnt_pos[joint], bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
-            begins = own.turn, own.place + own.turn @ anchor
-            links.append(Link(carrier, slides, model.jnt_axis[joint], *begins, 0.0, np.zeros(3), np.zeros((3, 3))))
-            carrier, own = len(links) - 1, Pose(np.eye(3), -anchor)
-        frames.append((carrier, own))
+            origin = pose.turn, pose.place + pose.turn @ anchor
+            links.append(Link(carrier, slides, model.jnt_axis[joint], *origin, 0.0, np.zeros(3), np.zeros((3, 3))))
+            carrier, pose = len(links) - 1, Pose(np.eye(3), -anchor)
+        frames.append((carrier, pose))
         if carrier >= 0:
-            centre = own.place + own.turn @ model.body_ipos[body]
-            axes = own.turn @ _rotation(xp, model.body_iquat[body])
+            centre = pose.place + pose.turn @ model.body_ipos[body]
+            axes = pose.turn @ _rotation(xp, model.body_iquat[body])
             about_centre = (axes * model.body_inertia[body]) @ axes.T
             links[carrier] = _with_mass(xp, links[carrier], model.body_mass[body], centre, about_centre)
     return links
@@ -105,8 +103,8 @@ def regroup(xp: ModuleType, links: Sequence[Link]) -> list[Link]:
         links[index] = link._replace(mass=0.0, moment=link.moment - along, inertia=link.inertia - rod)
         if link.parent >= 0:
             fixed = Pose(link.turn, link.place)
-            given = _carried(xp, fixed, link.mass, along, rod)
-            links[link.parent] = _added(links[link.parent], *given)
+            carried = _carried(xp, fixed, link.mass, along, rod)
+            links[link.parent] = _added(links[link.parent], *carried)
     return links
 
 
@@ -132,19 +130,19 @@ def unflatten(links: Sequence[Link], changes: Mapping[int, Any]) -> list[Link]:
     entries: list[Any] = list(flatten(links))
     for place, number in changes.items():
         entries[place] = number
-    found, rest = [], iter(entries)
+    changed, remaining = [], iter(entries)
     for link in links:
-        axis, turn, place, mass, moment = (_array([next(rest) for _ in range(n)]) for n in (3, 9, 3, 1, 3))
-        six = [next(rest) for _ in range(6)]
-        square = _array([six[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for i in range(3) for j in range(3)])
-        found.append(Link(*link[:2], axis, turn.reshape(3, 3), place, mass[0], moment, square.reshape(3, 3)))
-    return found
+        axis, turn, place, mass, moment = (_array([next(remaining) for _ in range(n)]) for n in (3, 9, 3, 1, 3))
+        triangle = [next(remaining) for _ in range(6)]
+        square = _array([triangle[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for i in range(3) for j in range(3)])
+        changed.append(Link(*link[:2], axis, turn.reshape(3, 3), place, mass[0], moment, square.reshape(3, 3)))
+    return changed
 
 
 def _array(entries: Sequence[Any]) -> Any:
     """Make an array: numpy's for numbers, JAX's if any is traced."""
-    known = all(isinstance(entry, float) for entry in entries)
-    return np.array(entries) if known else jnp.stack([jnp.asarray(entry) for entry in entries])
+    numeric = all(isinstance(entry, float) for entry in entries)
+    return np.array(entries) if numeric else jnp.stack([jnp.asarray(entry) for entry in entries])
 
 
 def poses(links: Sequence[Link], displacement: Float[Array, "nv"]) -> list[Pose]:
@@ -167,24 +165,24 @@ def bias_torque(
         spin, turning, rising = motions[link.parent] if link.parent >= 0 else (np.zeros(3), np.zeros(3), -gravity)
         rising = rising + jnp.cross(turning, pose.place) + jnp.cross(spin, jnp.cross(spin, pose.place))
         spin, turning, rising = (pose.turn.T @ vector for vector in (spin, turning, rising))
-        own = link.axis * speed
+        joint_velocity = link.axis * speed
         if link.slides:
-            rising = rising + 2 * jnp.cross(spin, own)
+            rising = rising + 2 * jnp.cross(spin, joint_velocity)
         else:
-            spin, turning = spin + own, turning + jnp.cross(spin, own)
+            spin, turning = spin + joint_velocity, turning + jnp.cross(spin, joint_velocity)
         motions.append((spin, turning, rising))
         whirled = jnp.cross(turning, link.moment) + jnp.cross(spin, jnp.cross(spin, link.moment))
         torque = link.inertia @ turning + jnp.cross(spin, link.inertia @ spin) + jnp.cross(link.moment, rising)
         wrenches.append((link.mass * rising + whirled, torque))
-    found: list[Array] = []
+    torques: list[Array] = []
     for link, pose in reversed([*zip(links, at, strict=True)]):
         force, torque = wrenches.pop()
-        found.append(link.axis @ (force if link.slides else torque))
+        torques.append(link.axis @ (force if link.slides else torque))
         if link.parent >= 0:
-            more_force, more_torque = _carry(pose, force, torque)
+            carried_force, carried_torque = _carry(pose, force, torque)
             force, torque = wrenches[link.parent]
-            wrenches[link.parent] = force + more_force, torque + more_torque
-    return jnp.stack(found[::-1])
+            wrenches[link.parent] = force + carried_force, torque + carried_torque
+    return jnp.stack(torques[::-1])
 
 
 def joint_inertia(links: Sequence[Link], at: Sequence[Pose]) -> Rows:
@@ -243,7 +241,6 @@ def _about(axis: Any, angle: Array) -> Float[Array, "3 3"]:
 
 
 def _rotation(xp: ModuleType, quaternion: Any) -> Any:
-    """Return the rotation of a unit quaternion, of shape (3, 3)."""
     w, x, y, z = quaternion
     first = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
     second = [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]

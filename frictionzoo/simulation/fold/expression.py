@@ -17,8 +17,7 @@ class Expression:
     Attributes:
         operation: A key of `OPERATIONS`, `input`, or `polynomial`.
         arguments: Expressions and constants; for `input` the argument and entry; for `polynomial` its terms.
-        serial: Order of creation. Arguments are sorted by it and not by memory address, which would change rounding
-            from run to run.
+        serial: Order of creation, the sort key of arguments: memory addresses would change rounding from run to run.
     """
 
     __slots__ = ("arguments", "operation", "serial")
@@ -66,7 +65,7 @@ OPERATIONS: Mapping[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
     "logistic": (lax.logistic, lambda x: 1 / (1 + np.exp(-x))),
     "is_finite": (lax.is_finite, np.isfinite),
 }
-"""JAX operation and numpy operation for each operation of an expression."""
+"""JAX and numpy function of each operation of an expression."""
 
 
 def rank(entry: Any) -> tuple[Any, ...]:
@@ -85,7 +84,7 @@ def is_result_of(entry: Any, operation: str) -> bool:
 
 
 def as_entries(array: Any) -> np.ndarray:
-    """Convert an array to one that can hold any entries."""
-    found = np.empty(np.shape(array), object)
-    found[...] = array
-    return found
+    """Convert an array to one of any entries (dtype object)."""
+    entries = np.empty(np.shape(array), object)
+    entries[...] = array
+    return entries

@@ -41,8 +41,8 @@ class Expander(Simplifier):
         if len(first) + len(second) > _MOST_TERMS:
             return self.keep(name, entries)
         sign = 1.0 if name == "add" else -1.0
-        more = [(sign * coefficient, monomial) for monomial, coefficient in second.items()]
-        return self._gather([*((coefficient, monomial) for monomial, coefficient in first.items()), *more])
+        signed = [(sign * coefficient, monomial) for monomial, coefficient in second.items()]
+        return self._gather([*((coefficient, monomial) for monomial, coefficient in first.items()), *signed])
 
     def finish(self, output: np.ndarray) -> np.ndarray:
         """See `Simplifier.finish`."""
@@ -108,7 +108,7 @@ class Expander(Simplifier):
         return [(1.0, tuple(sorted(powers.items(), key=lambda item: item[0].serial)))]
 
     def _gather(self, terms: Sequence[tuple[float, Monomial]]) -> Any:
-        """Return the sum of terms as the simplest entry; rounding left after a cancellation counts as 0."""
+        """Return the sum of terms as the simplest entry; rounding after a cancellation counts as 0."""
         total: dict[Monomial, float] = {}
         size: dict[Monomial, float] = {}
         for coefficient, monomial in terms:

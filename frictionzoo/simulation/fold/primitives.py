@@ -12,12 +12,11 @@ from frictionzoo.simulation.fold.simplify import Simplifier
 
 
 def _common(arrays: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
-    """Return the arrays, all of objects if one of them is."""
     return [as_entries(array) for array in arrays] if any(array.dtype == object for array in arrays) else arrays
 
 
 def _spread(array: np.ndarray, rank: int, dimensions: Sequence[Any]) -> np.ndarray:
-    """Reshape an array to `rank` dimensions, its own at these places."""
+    """Reshape an array to `rank` dimensions, with its sizes at these places."""
     shape = np.ones(rank, int)
     shape[list(dimensions)] = array.shape
     return array.reshape(shape)
@@ -89,10 +88,10 @@ def _slice(array: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
 def _dynamic_slice(array: np.ndarray, starts: Sequence[np.ndarray], sizes: Sequence[Any]) -> tuple[slice, ...]:
     if any(start.dtype == object for start in starts):
         raise CannotSpecialiseError("an index that depends on the state")
-    first = [
-        min(max(int(start), 0), whole - size) for start, whole, size in zip(starts, array.shape, sizes, strict=True)
+    begins = [
+        min(max(int(start), 0), limit - size) for start, limit, size in zip(starts, array.shape, sizes, strict=True)
     ]
-    return tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))
+    return tuple(slice(start, start + size) for start, size in zip(begins, sizes, strict=True))
 
 
 def _update_slice(array: np.ndarray, update: np.ndarray, *starts: np.ndarray) -> np.ndarray:
@@ -105,10 +104,7 @@ def _update_slice(array: np.ndarray, update: np.ndarray, *starts: np.ndarray) ->
 def _windows(
     shape: Sequence[Any], indices: np.ndarray, sizes: Sequence[Any], numbers: lax.GatherDimensionNumbers, clip: bool
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """Return the operand's index of each window entry for XLA's gather and scatter, one array a dimension.
-
-    The second output is whether the entry's window lies inside the operand.
-    """
+    """Return the operand's index of each window entry, one array a dimension, and whether its window lies inside."""
     if indices.dtype == object:
         raise CannotSpecialiseError("an index that depends on the state")
     places, batching = indices.shape[:-1], numbers.operand_batching_dims
@@ -116,22 +112,22 @@ def _windows(
     rank = len(places) + len(kept)
     place_dims = [dim for dim in range(rank) if dim not in numbers.offset_dims]
     inside = np.ones(places, bool)
-    found = []
-    for dim, whole in enumerate(shape):
+    indices_by_dim = []
+    for dim, limit in enumerate(shape):
         start = np.zeros(places, int)
         if dim in numbers.start_index_map:
             start = indices[..., numbers.start_index_map.index(dim)].astype(int)
         elif dim in batching:
-            start = _broadcast(np.arange(whole), places, [numbers.start_indices_batching_dims[batching.index(dim)]])
+            start = _broadcast(np.arange(limit), places, [numbers.start_indices_batching_dims[batching.index(dim)]])
         if clip:
-            start = np.clip(start, 0, whole - sizes[dim])
-        inside = inside & (start >= 0) & (start + sizes[dim] <= whole)
+            start = np.clip(start, 0, limit - sizes[dim])
+        inside = inside & (start >= 0) & (start + sizes[dim] <= limit)
         index = _spread(np.asarray(start), rank, place_dims)
         if dim in kept:
             index = index + _spread(np.arange(sizes[dim]), rank, [numbers.offset_dims[kept.index(dim)]])
-        found.append(index)
-    *found, inside = np.broadcast_arrays(*found, _spread(np.asarray(inside), rank, place_dims))
-    return tuple(found), inside
+        indices_by_dim.append(index)
+    *indices_by_dim, inside = np.broadcast_arrays(*indices_by_dim, _spread(np.asarray(inside), rank, place_dims))
+    return tuple(indices_by_dim), inside
 
 
 def _gather(array: np.ndarray, indices: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:

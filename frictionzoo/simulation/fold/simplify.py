@@ -54,8 +54,8 @@ class Simplifier:
         if not any(isinstance(entry, Expression) for entry in entries):
             with np.errstate(all="ignore"):
                 return OPERATIONS[name][1](*map(np.asarray, entries)).item()
-        found = _SIMPLER[name](self, *entries) if name in _SIMPLER else None
-        return self.keep(name, entries) if found is None else found
+        simpler = _SIMPLER[name](self, *entries) if name in _SIMPLER else None
+        return self.keep(name, entries) if simpler is None else simpler
 
     def choose(self, which: Any, *entries: Any) -> Any:
         """Return the entry with index `which`; if that is unknown, select one of two, for False and True."""
@@ -125,7 +125,7 @@ def _mul(simplifier: Simplifier, a: Any, b: Any) -> Any:
 
 
 def _is_scaled(entry: Any) -> bool:
-    """Return whether it is a number times an expression; the number stands first."""
+    """Return whether an entry is a number times an expression; the number is its first argument."""
     return is_result_of(entry, "mul") and not isinstance(entry.arguments[0], Expression)
 
 

@@ -7,37 +7,34 @@ from frictionzoo.simulation.fold.expression import CannotSpecialiseError, Expres
 from frictionzoo.simulation.fold.simplify import Simplifier
 
 Slopes = dict[tuple[Any, ...], Any]
-"""Derivative of an entry with respect to entries of arguments, by argument and index, without those that are 0."""
+"""Derivatives of an entry that are not 0, by argument and index of the entry they are with respect to."""
 
 
 def slopes_of(simplifier: Simplifier, order: Sequence[Expression], moving: Sequence[int]) -> dict[int, Slopes]:
-    """Return the slopes of every expression, by its identity, with respect to the entries of some arguments.
+    """Return the slopes of every expression, by identity, with respect to the entries of the arguments `moving`.
 
-    Args:
-        simplifier: Simplifier that made the expressions.
-        order: Expressions, each after its arguments.
-        moving: Numbers of the arguments.
+    `order` has each expression after its arguments; `simplifier` made them.
 
     Raises:
         CannotSpecialiseError: An operation that depends on these arguments has no rule here.
     """
-    found: dict[int, Slopes] = {}
+    by_expression: dict[int, Slopes] = {}
     for expression in order:
         if expression.operation == "input":
-            found[id(expression)] = {expression.arguments: 1.0} if expression.arguments[0] in moving else {}
+            by_expression[id(expression)] = {expression.arguments: 1.0} if expression.arguments[0] in moving else {}
             continue
-        inner = [found[id(entry)] if isinstance(entry, Expression) else {} for entry in expression.arguments]
+        inner = [by_expression[id(entry)] if isinstance(entry, Expression) else {} for entry in expression.arguments]
         slopes: Slopes = {}
         if any(inner):
             if expression.operation not in _RULES:
                 raise CannotSpecialiseError(f"a derivative of {expression.operation}")
             factors = _RULES[expression.operation](simplifier.make, expression.arguments)
-            for factor, own in zip(factors, inner, strict=True):
-                for place, slope in own.items():
+            for factor, argument_slopes in zip(factors, inner, strict=True):
+                for place, slope in argument_slopes.items():
                     term = simplifier.make("mul", factor, slope)
                     slopes[place] = simplifier.make("add", slopes[place], term) if place in slopes else term
-        found[id(expression)] = {place: slope for place, slope in slopes.items() if not is_number(slope, 0.0)}
-    return found
+        by_expression[id(expression)] = {place: slope for place, slope in slopes.items() if not is_number(slope, 0.0)}
+    return by_expression
 
 
 _RULES: Mapping[str, Callable[[Callable[..., Any], Sequence[Any]], Sequence[Any]]] = {

@@ -16,8 +16,7 @@ from frictionzoo.simulation.fold.primitives import PRIMITIVES
 from frictionzoo.simulation.fold.simplify import Simplifier
 from frictionzoo.simulation.fold.slopes import Slopes, slopes_of
 
-_WORTH_EXPANDING = 700
-"""Largest number of operations for which multiplying out is tried: one or two joints."""
+_WORTH_EXPANDING = 700  # largest number of operations for which multiplying out is tried: one or two joints
 _WRAPPERS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"}
 
 
@@ -36,8 +35,8 @@ class Specialised:
         self.operations: int = sum(expression.operation != "input" for expression in self._order)
         self._slopes = slopes
         if slopes is not None:
-            own = [slope for entry in entries for slope in slopes.get(id(entry), {}).values()]
-            self._with_slopes = _sorted_by_dependence([*entries, *own])
+            slope_entries = [slope for entry in entries for slope in slopes.get(id(entry), {}).values()]
+            self._with_slopes = _sorted_by_dependence([*entries, *slope_entries])
             self._smooth = jax.custom_jvp(self._value)
             self._smooth.defjvp(self._value_and_tangent)
 
@@ -51,14 +50,14 @@ class Specialised:
 
     def _value_and_tangent(self, leaves: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Any, Any]:
         """Return value and tangent; slopes are computed once for all tangents."""
-        read, made = self._reader(leaves, self._with_slopes), {}
+        read, tangent_of = self._reader(leaves, self._with_slopes), {}
 
         def tangent(entry: Any) -> Any:
-            if id(entry) not in made:
+            if id(entry) not in tangent_of:
                 slopes = (self._slopes or {}).get(id(entry), {})
                 terms = [read(slope) * tangents[leaf][index] for (leaf, index), slope in slopes.items()]
-                made[id(entry)] = sum(terms[1:], terms[0]) if terms else read(0.0)
-            return made[id(entry)]
+                tangent_of[id(entry)] = sum(terms[1:], terms[0]) if terms else read(0.0)
+            return tangent_of[id(entry)]
 
         return self._assemble(read), self._assemble(tangent)
 
@@ -119,23 +118,23 @@ def specialise(function: Callable[..., Any], *examples: Any, moving: Sequence[in
         if plain.operations > _WORTH_EXPANDING:
             return plain
         expanded = fold(Expander())
-    return min(plain, expanded, key=lambda found: found.operations)
+    return min(plain, expanded, key=lambda candidate: candidate.operations)
 
 
 def _sorted_by_dependence(entries: Sequence[Any]) -> list[Expression]:
     """Return every expression that these entries need, each after its arguments."""
     order: list[Expression] = []
-    seen: set[int] = set()
+    visited: set[int] = set()
     for root in entries:
         stack = [(root, False)]
         while stack:
             entry, ready = stack.pop()
-            if not isinstance(entry, Expression) or (id(entry) in seen and not ready):
+            if not isinstance(entry, Expression) or (id(entry) in visited and not ready):
                 continue
             if ready:
                 order.append(entry)
                 continue
-            seen.add(id(entry))
+            visited.add(id(entry))
             stack.append((entry, True))
             if entry.operation != "input":
                 stack.extend((argument, False) for argument in entry.arguments)
@@ -143,7 +142,7 @@ def _sorted_by_dependence(entries: Sequence[Any]) -> list[Expression]:
 
 
 def _evaluate(simplifier: Simplifier, jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
-    """Evaluate a jaxpr over arrays, of numbers if all are known, else of entries (dtype object)."""
+    """Evaluate a jaxpr over arrays: of numbers if all are known, else of entries (dtype object)."""
     values: dict[Any, np.ndarray] = dict(zip(jaxpr.constvars, consts, strict=True))
     values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
@@ -175,12 +174,11 @@ def _apply(simplifier: Simplifier, equation: Any, inputs: list[np.ndarray]) -> l
     if any(array.dtype == object for array in inputs):
         raise CannotSpecialiseError(name)
     with jax.ensure_compile_time_eval():
-        known = equation.primitive.bind(*map(jnp.asarray, inputs), **params)
-    return [np.asarray(array) for array in (known if equation.primitive.multiple_results else [known])]
+        results = equation.primitive.bind(*map(jnp.asarray, inputs), **params)
+    return [np.asarray(array) for array in (results if equation.primitive.multiple_results else [results])]
 
 
 def _numbers_if_known(array: np.ndarray, dtype: Any) -> np.ndarray:
-    """Convert an array of objects to numbers if no entry is an expression."""
     array = np.asarray(array)
     if array.dtype != object or any(isinstance(entry, Expression) for entry in array.ravel()):
         return array
