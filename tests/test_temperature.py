@@ -268,6 +268,7 @@ def parameters(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Finished]], tmp_path: Path) -> None:
     """Both are judged on the same rollouts as other laws, exported, and followed by other laws."""
     warm, said = runs("temperature_linear", "data.columns.temperature=warm")
