@@ -13,7 +13,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import DissipativeNetwork, FrictionModel, NeuralFriction, OddNetwork, ResidualNetwork
 from frictionzoo.models.dissipative_network import softplus
-from frictionzoo.models.odd_network import reverse
+from frictionzoo.models.network import reverse
 from frictionzoo.simulation.bridge import to_jax
 
 STATES = 125_000  # times 8 seeds of weights make a million

@@ -1,8 +1,7 @@
 """Friction models, one per file, found without a list."""
 
-from frictionzoo.models.base import FrictionModel, Params, Values
+from frictionzoo.models.base import FrictionModel, Params, TorchFriction, Values
 from frictionzoo.models.registry import REGISTRY, get_model, model_names, register_model
-from frictionzoo.models.torch_friction import TorchFriction
 
 __all__ = ["FrictionModel", "Params", "TorchFriction", "Values", "get_model", "model_names", "register_model"]
 

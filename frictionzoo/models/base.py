@@ -1,4 +1,4 @@
-"""The plug-in interface of a friction model."""
+"""The plug-in interface of a friction model, and of one that exists only in torch."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from frictionzoo.core.described import Described
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.core.params import Param, read_params, refuse_negative
 from frictionzoo.core.state import DriveState, FrictionTerms
 
@@ -142,6 +142,40 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     def forward(self, state: DriveState) -> FrictionTerms:
         """Compute the terms in torch with this module's values, for torch tensors of shape (..., nv)."""
         return self.terms(torch, self.state_dict(keep_vars=True), state)
+
+
+class TorchFriction(FrictionModel):
+    """Friction model without a formula over `xp`: any torch module, for example of `torch.nn` parts.
+
+    Write `forward` in plain torch and register the class like any other model. `dimensions` declares physical
+    parameters, which `forward` reads as attributes; any other parameter of the module is a weight. All parameters and
+    buffers are float64, and float32 in a job that computes in float32: take every number from them, from the state, or
+    from Python.
+
+    Each step of a rollout leaves JAX for this model. This is exact, but slower than a formula: write a formula if you
+    can.
+
+    Cannot represent: a memory; a function of the whole batch, such as batch normalisation.
+    """
+
+    @abstractmethod
+    def forward(self, state: DriveState) -> FrictionTerms:
+        """Compute the friction terms; pure and deterministic, with this module's values.
+
+        The state has tensors of shape (..., nv). The terms broadcast to it; `frictionloss` is above 0. Their gradient
+        is finite, also at qvel = 0.
+        """
+
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
+        """Return the terms of `forward` with these values in place of the module's; see `FrictionModel.terms`.
+
+        Raises:
+            ModelError: `xp` is not torch.
+        """
+        if xp is not torch:
+            label = getattr(type(self), "name", type(self).__name__)
+            raise ModelError(f"{label}: it exists only in torch, not in {xp.__name__}; derive it from FrictionModel")
+        return torch.func.functional_call(self, dict(values), (state,))
 
 
 def sliding_torque(xp: Any, terms: FrictionTerms, qvel: Any) -> Any:

@@ -1,9 +1,10 @@
 """Shared functions of models with memory: initial memory, and bristles that deflect and slip."""
 
+from abc import abstractmethod
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import Values
+from frictionzoo.models.base import FrictionModel, Values
 
 _NEARLY_ZERO = 1e-2  # below it the series is exact to 1e-10, while the quotient loses digits in float32
 
@@ -56,24 +57,39 @@ def slip(xp: Any, values: Values, state: DriveState, limit: Any) -> FrictionTerm
     return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
 
 
-def settled_bend(xp: Any, values: Values, state: DriveState, limit: Any) -> Any:
-    """Return the bristle deflection at rest or in steady motion, of shape (..., nv, 1) [rad or m]."""
-    return (settled_force(xp, state, limit, values["rest_velocity"]) / values["stiffness"])[..., None]
+class BristleModel(FrictionModel):
+    """Bristles that deflect before they slip, at a limit that the subclass defines, and viscous friction.
 
-
-def bend(
-    xp: Any, values: Values, state: DriveState, memory: Any, timestep: float, limit: Any, micro_damping: Any
-) -> tuple[FrictionTerms, Any]:
-    """Return the bristle torque at the end of a step, and the deflection in this state.
-
-    The bristles yield at `limit` [N m or N]: z' = v - s |v| z / limit, torque = s z + c z' + d v, with the stiffness s,
-    the micro-damping c [N m s/rad or N s/m], the viscous coefficient d and the length of the step `timestep` [s].
+    z' = v - s |v| z / limit, torque = s z + c z' + d v, with the memory z [rad or m], the `stiffness` s, the
+    `viscous_coefficient` d, and the `micro_damping` c, 0 for a model without this parameter.
     """
-    stiffness = values["stiffness"]
-    rate = stiffness * xp.abs(state.qvel) / limit
-    decay, reach = remaining(xp, rate, timestep)
-    bent = decay * memory[..., 0] + reach * state.qvel
-    # With z' = v - rate z at the end of the step: s z + c z' = (s - c rate) decay z + (s reach + c decay) v.
-    torque = (stiffness - micro_damping * rate) * decay * bent
-    damping = stiffness * reach + micro_damping * decay + values["viscous_coefficient"]
-    return FrictionTerms(torque=torque, damping=damping), bent[..., None]
+
+    dissipative = True
+    memory = 1
+
+    @abstractmethod
+    def limit(self, xp: Any, values: Values, state: DriveState) -> Any:
+        """Return the dry friction of slipping bristles in this state [N m or N]; arguments as in `terms`."""
+
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
+        """Return the friction of slipping bristles."""
+        return slip(xp, values, state, self.limit(xp, values, state))
+
+    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
+        """Return the deflection at rest or in steady motion [rad or m]."""
+        force = settled_force(xp, state, self.limit(xp, values, state), values["rest_velocity"])
+        return (force / values["stiffness"])[..., None]
+
+    def advance(
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """Return the bristle torque at the end of the step, and the deflection in this state."""
+        limit = self.limit(xp, values, state)
+        stiffness, micro_damping = values["stiffness"], values.get("micro_damping", 0.0)
+        rate = stiffness * xp.abs(state.qvel) / limit
+        decay, reach = remaining(xp, rate, timestep)
+        bent = decay * memory[..., 0] + reach * state.qvel
+        # With z' = v - rate z at the end of the step: s z + c z' = (s - c rate) decay z + (s reach + c decay) v.
+        torque = (stiffness - micro_damping * rate) * decay * bent
+        damping = stiffness * reach + micro_damping * decay + values["viscous_coefficient"]
+        return FrictionTerms(torque=torque, damping=damping), bent[..., None]

@@ -1,7 +1,7 @@
 """Different friction models for groups of joints."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -114,24 +114,19 @@ class ByJoint(FrictionModel):
 
     def prepare(self, samples: DriveState) -> None:
         """Let each model take its constants from the samples of its joints."""
-        for joints, law in zip(self.members, self.laws, strict=True):
-            law.prepare(_seen(samples, joints, len(self.members)))
+        for law, _, part in self._groups({}, samples):
+            law.prepare(part)
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the terms of each joint's model; 0 for a term that only other joints' models use."""
-        parts = [
-            law.terms(xp, _own(values, label), _seen(state, joints, len(self.members)))
-            for label, joints, law in zip(self.labels, self.members, self.laws, strict=True)
-        ]
+        parts = [law.terms(xp, own, part) for law, own, part in self._groups(values, state)]
         return _join_terms(xp, parts, self.members, self.order, state)
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """Return the memory of each joint's model, padded with 0 to the largest memory."""
-        parts = []
-        for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
-            part = _seen(state, joints, len(self.members))
-            law_memory = law.settle(xp, _own(values, label), part)
-            parts.append(_fill(xp, law_memory, self.memory - width, part))
+        parts = [
+            _fill(xp, law.settle(xp, own, part), self.memory, part) for law, own, part in self._groups(values, state)
+        ]
         return _join(xp, parts, self.order, -2)
 
     def advance(
@@ -139,12 +134,17 @@ class ByJoint(FrictionModel):
     ) -> tuple[FrictionTerms, Any]:
         """Advance each joint's model by one step."""
         parts, after = [], []
-        for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
-            part, law_memory = _seen(state, joints, len(self.members)), memory[..., np.array(joints), :width]
-            terms, law_memory = law.advance(xp, _own(values, label), part, law_memory, timestep)
+        groups = zip(self._groups(values, state), self.members, self.widths, strict=True)
+        for (law, own, part), joints, width in groups:
+            terms, law_memory = law.advance(xp, own, part, memory[..., np.array(joints), :width], timestep)
             parts.append(terms)
-            after.append(_fill(xp, law_memory, self.memory - width, part))
+            after.append(_fill(xp, law_memory, self.memory, part))
         return _join_terms(xp, parts, self.members, self.order, state), _join(xp, after, self.order, -2)
+
+    def _groups(self, values: Values, state: DriveState) -> Iterator[tuple[FrictionModel, dict[str, Any], DriveState]]:
+        """Yield the model of each group of joints, with its values and the state of its joints."""
+        for label, joints, law in zip(self.labels, self.members, self.laws, strict=True):
+            yield law, _own(values, label), _seen(state, joints, len(self.members))
 
     def _take(self, laws: Sequence[tuple[str, Section]], groups: Sequence[Sequence[int]]) -> None:
         made = [_make(option, section, len(joints)) for (option, section), joints in zip(laws, groups, strict=True)]
@@ -266,5 +266,7 @@ def _join(xp: Any, parts: Sequence[Any], order: Sequence[int], axis: int) -> Any
     return joined[..., np.array(order)] if axis == -1 else joined[..., np.array(order), :]
 
 
-def _fill(xp: Any, memory: Any, missing: int, seen: DriveState) -> Any:
+def _fill(xp: Any, memory: Any, width: int, seen: DriveState) -> Any:
+    """Return a memory with zeros appended up to this width."""
+    missing = width - memory.shape[-1]
     return memory if not missing else xp.concatenate([memory, xp.stack(missing * [xp.zeros_like(seen.qvel)], -1)], -1)

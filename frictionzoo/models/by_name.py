@@ -8,9 +8,6 @@ from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.core.registry import dotted_name
 from frictionzoo.models.registry import get_model
 
-OF_SEVERAL = "frictionzoo.models.ByJoint"
-_SHARED = ("scale", "seed")  # options of a job to which the models' files refer
-
 
 def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section that makes a model: from its file in `conf/model`, or, without a file, its class alone.
@@ -25,7 +22,7 @@ def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]
         raise ConfigError(f"{name}: unknown option _target_, which would make it another law; name that law")
     if name not in list_choices("model"):
         return {"_target_": dotted_name(get_model(name)), **options}
-    job = {key: shared[key] for key in _SHARED if key in shared}
+    job = {key: shared[key] for key in ("scale", "seed") if key in shared}  # to which the models' files refer
     return complete_laws(compose_settings({**job, "model": options}, f"model={name}")["model"], shared)
 
 
@@ -36,7 +33,7 @@ def complete_laws(section: Mapping[str, Any], shared: Mapping[str, Any]) -> dict
         UnknownModelError: One of the models does not exist.
         ConfigError: An option of one of them does not exist or is invalid; or an entry is not a model.
     """
-    if section.get("_target_") != OF_SEVERAL:
+    if section.get("_target_") != "frictionzoo.models.ByJoint":
         return dict(section)
     laws = section["laws"]
     if isinstance(laws, str):

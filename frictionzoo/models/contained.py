@@ -7,12 +7,11 @@ import numpy as np
 import torch
 
 from frictionzoo.core.errors import ModelError
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState
 from frictionzoo.models.base import FrictionModel, sliding_torque
-from frictionzoo.models.formula import as_numpy, torch_state
+from frictionzoo.models.formula import DRAWS, numpy_terms
 from frictionzoo.models.registry import get_model
 
-_DRAWS = 5  # of parameter values
 _NEAR = 0.2  # fraction of the way from the initial value to a bound
 _SLIDING = 1.0  # rad/s or m/s, far above the smoothing of any sign
 _TOLERANCE = 1e-3  # relative, for the error of a smooth sign at that speed
@@ -29,7 +28,7 @@ def check_contained(model: FrictionModel, samples: DriveState) -> None:
     for name, within in model.contains.items():
         law = get_model(name)
         _refuse_unknown(model, law, within)
-        for _ in range(_DRAWS):
+        for _ in range(DRAWS):
             theirs, ours = _draw(model, law, within, random)
             other = law(model.nv, params={param: list(value) for param, value in theirs.items()})
             expected, actual = (_torque(*pair, sliding) for pair in ((other, theirs), (model, ours)))
@@ -76,9 +75,7 @@ def _between(model: FrictionModel, name: str, random: np.random.Generator) -> np
 
 def _torque(model: FrictionModel, values: Mapping[str, np.ndarray], samples: DriveState) -> np.ndarray:
     state = {**model.state_dict(), **{name: torch.tensor(value) for name, value in values.items()}}
-    with torch.no_grad():
-        terms = as_numpy(model.terms(torch, state, torch_state(samples)).given())
-    return sliding_torque(np, FrictionTerms(**terms), samples.qvel)
+    return sliding_torque(np, numpy_terms(model, state, samples), samples.qvel)
 
 
 def _fail(model: FrictionModel, message: str) -> NoReturn:

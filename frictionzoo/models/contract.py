@@ -15,12 +15,20 @@ import torch
 from frictionzoo.core.errors import ModelError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel, Values, sliding_torque
+from frictionzoo.models.base import FrictionModel, TorchFriction, Values, sliding_torque
 from frictionzoo.models.contained import check_contained
-from frictionzoo.models.formula import Formula, as_numpy, jax_slopes, torch_slopes, torch_state, torch_values
+from frictionzoo.models.formula import (
+    Formula,
+    as_numpy,
+    draw_values,
+    jax_slopes,
+    numpy_terms,
+    torch_slopes,
+    torch_state,
+    torch_values,
+)
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.models.sees import SEES, is_curved, observe
-from frictionzoo.models.torch_friction import TorchFriction
 
 TOLERANCE = 1e-12  # torch against JAX in float64: relative to the largest entry of an array, absolute below 1
 SAMPLES = 64
@@ -28,7 +36,6 @@ TIMESTEP = 1e-3  # s
 INPUT_SPREAD = 20.0  # of drawn inputs about their default; degC for a temperature
 NOWHERE = "where all is 0"
 SETTLED = 1e-6  # largest relative change of a settled memory in a step
-DRAWS = 5  # of values between their bounds, for the check of `dissipative`
 
 
 def check_model(model: FrictionModel, samples: DriveState | None = None) -> None:
@@ -63,9 +70,7 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     if not isinstance(model, FrictionModel):
         kind = type(model).__name__
         raise ModelError(f"{kind}: not a FrictionModel; derive it from frictionzoo.models.FrictionModel")
-    _check_name(model)
-    _check_units(model)
-    _check_inputs(model)
+    _check_declared(model)
     _check_bounds(model)
     samples = _draw_samples(model) if samples is None else samples
     prepared = copy.deepcopy(model)
@@ -88,21 +93,14 @@ def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | No
     raise ModelError(f"{getattr(type(model), 'name', type(model).__name__)}: {clause}: {message}") from cause
 
 
-def _check_name(model: FrictionModel) -> None:
+def _check_declared(model: FrictionModel) -> None:
     cls = type(model)
     if REGISTRY.entries.get(vars(cls).get("name", "")) is not cls:
         _fail(model, "name", f"class {cls.__qualname__} is not registered; decorate it @register_model(NAME)")
-
-
-def _check_units(model: FrictionModel) -> None:
     for name, dimension in model.dimensions.items():
-        for joint_type, units in UNITS.items():
+        for joint, units in UNITS.items():
             if dimension not in units:
-                message = f"{name} has dimension {dimension} on a {joint_type}; {closest(dimension, units)}"
-                _fail(model, "units", message)
-
-
-def _check_inputs(model: FrictionModel) -> None:
+                _fail(model, "units", f"{name} has dimension {dimension} on a {joint}; {closest(dimension, units)}")
     recorded = tuple(DriveState._field_defaults)
     for name, value in model.inputs.items():
         if name not in recorded:
@@ -124,11 +122,8 @@ def _check_bounds(model: FrictionModel) -> None:
         value = parameters[name].detach()
         low, high = (torch.tensor(param.each(side, model.nv)[members]) for side in ("low", "high"))
         if not ((value >= low) & (value <= high)).all():
-            _fail(
-                model,
-                "bounds",
-                f"{name}={value.tolist()} outside [{float(low.min()):g}, {float(high.max()):g}]; start inside",
-            )
+            bounds = f"[{float(low.min()):g}, {float(high.max()):g}]"
+            _fail(model, "bounds", f"{name}={value.tolist()} outside {bounds}; start inside")
 
 
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:
@@ -139,9 +134,8 @@ def _check_terms(model: FrictionModel, samples: DriveState) -> None:
         if terms.frictionloss is not None:
             limits = terms.frictionloss.broadcast_to(*batch, model.nv)[..., list(model.constrained)]
             if not bool((limits > 0).all()):
-                _fail(
-                    model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0"
-                )
+                message = "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0"
+                _fail(model, "frictionloss", message)
         if not isinstance(model, TorchFriction):
             _check_kinds(model, _jax_terms(model, state), "jax.numpy", jax.ShapeDtypeStruct, batch)
 
@@ -171,12 +165,12 @@ def _check_shape(model: FrictionModel, what: str, shape: tuple[int, ...], expect
 def _check_purity(model: FrictionModel, samples: DriveState) -> None:
     """Check that equal inputs give equal bits, nothing is written, and numbers come from `values`."""
     values, state = torch_values(model), torch_state(samples)
-    before, kept_values, kept_state = torch_values(model), copy.deepcopy(values), copy.deepcopy(state)
+    kept_values, kept_state = copy.deepcopy((values, state))
     terms = model.terms(torch, values, state).given()
     if not _equal(terms, model.terms(torch, values, state).given()):
         _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
     unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
-    if not unwritten or not _equal(before, torch_values(model)):
+    if not unwritten or not _equal(kept_values, torch_values(model)):
         _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
     if not _equal(terms, _changed(model).terms(torch, values, state).given()):
         _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
@@ -237,9 +231,8 @@ def _check_formula(
     random, shape = np.random.default_rng(0), samples.qvel.shape
     weights = {name: random.standard_normal(shape) for name in FrictionTerms._fields}
     weights |= {name: random.standard_normal((*shape, model.memory)) for name in ("settled memory", "memory")}
-    over_jax = not isinstance(model, TorchFriction)
-    in_jax = jax_slopes(model, list(places.values()), formula, weights) if over_jax else None
-    gradients = []
+    torch_only, gradients = isinstance(model, TorchFriction), []
+    in_jax = None if torch_only else jax_slopes(model, list(places.values()), formula, weights)
     for place, (where, state) in enumerate(places.items()):
         values, ours = torch_slopes(model, state, formula, weights)
         theirs = {}
@@ -280,30 +273,18 @@ def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: D
 
 
 def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
-    if not model.dissipative:
-        return
-    random, drawn = np.random.default_rng(0), torch_values(model)
-    for _ in range(1 + DRAWS):
-        _check_power(model, drawn, samples)
-        for name, param in model.params.items():
-            ends = (param.each(side, model.nv)[param.members(model.nv)] for side in ("low", "high"))
-            low, high = (param.to_coordinate(end, np) for end in ends)
-            value = param.from_coordinate(random.uniform(low, high), np)
-            drawn[name] = torch.tensor(value)
-
-
-def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples: DriveState) -> None:
-    terms = FrictionTerms(**as_numpy(model.terms(torch, values, torch_state(samples)).given()))
-    power = sliding_torque(np, terms, samples.qvel) * samples.qvel
-    if (power < 0).any():
-        speed = samples.qvel[power < 0][0]
-        _fail(model, "dissipative", f"friction drives the joint at qvel={speed:.3g}; oppose qvel, or drop the claim")
-    torque, frictionloss, damping = (np.zeros(()) if term is None else term for term in terms)
-    if ((np.abs(torque) > frictionloss) & (samples.qvel == 0)).any():
-        message = "torque moves a joint that stands still; keep it within frictionloss there, or drop the claim"
-        _fail(model, "dissipative", message)
-    if (damping < 0).any():
-        _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
+    for values in draw_values(model) if model.dissipative else ():
+        terms = numpy_terms(model, values, samples)
+        power = sliding_torque(np, terms, samples.qvel) * samples.qvel
+        if (power < 0).any():
+            speed, advice = samples.qvel[power < 0][0], "oppose qvel, or drop the claim"
+            _fail(model, "dissipative", f"friction drives the joint at qvel={speed:.3g}; {advice}")
+        torque, frictionloss, damping = (np.zeros(()) if term is None else term for term in terms)
+        if ((np.abs(torque) > frictionloss) & (samples.qvel == 0)).any():
+            advice = "keep it within frictionloss there, or drop the claim"
+            _fail(model, "dissipative", f"torque moves a joint that stands still; {advice}")
+        if (damping < 0).any():
+            _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
 
 
 def _check_sees(model: FrictionModel, samples: DriveState) -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models.bristles import stribeck_force
 
 
 @register_model("coulomb_stribeck")
@@ -56,7 +57,5 @@ class CoulombStribeck(FrictionModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the explicit torque."""
-        kinetic, velocity = values["kinetic_torque"], state.qvel
-        excess = (values["static_torque"] - kinetic) * xp.exp(-xp.square(velocity / values["stribeck_velocity"]))
-        dry = (kinetic + excess) * xp.tanh(velocity / values["smoothing_velocity"])
-        return FrictionTerms(torque=dry + values["viscous_coefficient"] * velocity)
+        dry = stribeck_force(xp, values, state.qvel) * xp.tanh(state.qvel / values["smoothing_velocity"])
+        return FrictionTerms(torque=dry + values["viscous_coefficient"] * state.qvel)

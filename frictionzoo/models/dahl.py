@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
-from frictionzoo.models.bristles import bend, settled_bend, slip
+from frictionzoo.core.state import DriveState
+from frictionzoo.models import Values, register_model
+from frictionzoo.models.bristles import BristleModel
 
 
 @register_model("dahl")
-class Dahl(FrictionModel):
+class Dahl(BristleModel):
     """Coulomb friction that builds up over a displacement, and viscous friction.
 
     Use it for drives with presliding: before a joint slips, its friction acts as a spring.
@@ -40,20 +40,8 @@ class Dahl(FrictionModel):
         "rest_velocity": "velocity",
     }
     valleys = {"stiffness": (0.1, 10.0)}
-    dissipative = True
     sees = ("speed", "reversal")
-    memory = 1
 
-    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """Return the friction of the yielded contact."""
-        return slip(xp, values, state, values["coulomb_torque"])
-
-    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """Return the deflection at rest or in steady motion."""
-        return settled_bend(xp, values, state, values["coulomb_torque"])
-
-    def advance(
-        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
-    ) -> tuple[FrictionTerms, Any]:
-        """Return the spring's torque at the end of the step, and the deflection."""
-        return bend(xp, values, state, memory, timestep, values["coulomb_torque"], 0.0)
+    def limit(self, xp: Any, values: Values, state: DriveState) -> Any:
+        """Return the dry friction of the yielded contact [N m or N]."""
+        return values["coulomb_torque"]

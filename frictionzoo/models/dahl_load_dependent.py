@@ -2,15 +2,15 @@
 
 from typing import Any
 
-from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
-from frictionzoo.models.bristles import bend, settled_bend, slip
+from frictionzoo.core.state import DriveState
+from frictionzoo.models import Values, register_model
+from frictionzoo.models.bristles import BristleModel
 from frictionzoo.models.dahl import Dahl
 from frictionzoo.models.limits import gear_load
 
 
 @register_model("dahl_load_dependent")
-class DahlLoadDependent(FrictionModel):
+class DahlLoadDependent(BristleModel):
     """Coulomb friction that grows with the gear load and builds up over a displacement, and viscous friction.
 
     Use it for drives with presliding whose gear loses torque under load: `dahl` with the load term of `load_dependent`.
@@ -43,24 +43,8 @@ class DahlLoadDependent(FrictionModel):
     dimensions = {**Dahl.dimensions, "load_friction": "1"}
     contains = {"dahl": {"load_friction": 0.0}}
     valleys = {"stiffness": (0.1, 10.0)}
-    dissipative = True
     sees = ("speed", "load", "reversal")
-    memory = 1
 
-    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """Return the friction of the yielded contact."""
-        return slip(xp, values, state, self._limit(xp, values, state))
-
-    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """Return the deflection at rest or in steady motion."""
-        return settled_bend(xp, values, state, self._limit(xp, values, state))
-
-    def advance(
-        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
-    ) -> tuple[FrictionTerms, Any]:
-        """Return the spring's torque at the end of the step, and the deflection."""
-        return bend(xp, values, state, memory, timestep, self._limit(xp, values, state), 0.0)
-
-    def _limit(self, xp: Any, values: Values, state: DriveState) -> Any:
+    def limit(self, xp: Any, values: Values, state: DriveState) -> Any:
         """Return the dry friction of the yielded contact under this load [N m or N]."""
         return values["coulomb_torque"] + gear_load(xp, state, values["load_friction"], values["load_friction"])

@@ -9,8 +9,6 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import Params, Values, register_model
 from frictionzoo.models.network import GearNetwork
 
-START = -3.0  # initial bias of both outputs: softplus(-3) = 0.05
-
 
 @register_model("dissipative_network")
 class DissipativeNetwork(GearNetwork):
@@ -59,7 +57,7 @@ class DissipativeNetwork(GearNetwork):
 
     def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0, params: Params | None = None) -> None:
         super().__init__(nv, hidden, 2, seed, params)
-        torch.nn.init.constant_(self.layers[-1].get_parameter("bias"), START)
+        torch.nn.init.constant_(self.layers[-1].get_parameter("bias"), -3.0)  # softplus(-3) = 0.05
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the explicit torque."""

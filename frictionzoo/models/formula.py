@@ -1,6 +1,6 @@
 """Evaluation of a model's formula in torch and in JAX: values, and gradients by all arguments."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import jax
@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import torch
 
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel, Values
 
 Formula = Callable[[Any, Values, DriveState], dict[str, Any]]
+DRAWS = 5  # of values, to check what holds for any values in bounds
 
 
 def as_numpy(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -28,6 +29,24 @@ def torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> di
 def torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> DriveState:
     """Return the state as tensors of this type."""
     return state.map(lambda signal: torch.tensor(signal, dtype=dtype))
+
+
+def numpy_terms(model: FrictionModel, values: Mapping[str, torch.Tensor], samples: DriveState) -> FrictionTerms:
+    """Return the terms of a model with these values, for numpy samples: computed in torch, converted to numpy."""
+    return FrictionTerms(**as_numpy(model.terms(torch, values, torch_state(samples)).given()))
+
+
+def draw_values(model: FrictionModel, weights: bool = False) -> Iterator[dict[str, torch.Tensor]]:
+    """Yield a model's values, then `DRAWS` others: parameters between their bounds, and, if `weights`, new weights."""
+    random, drawn = np.random.default_rng(0), torch_values(model)
+    redrawn = [name for name, _ in model.named_parameters() if weights and name not in model.params]
+    for _ in range(1 + DRAWS):
+        yield drawn
+        drawn = {**drawn, **{name: torch.tensor(random.normal(size=drawn[name].shape)) for name in redrawn}}
+        for name, param in model.params.items():
+            ends = (param.each(side, model.nv)[param.members(model.nv)] for side in ("low", "high"))
+            low, high = (param.to_coordinate(end, np) for end in ends)
+            drawn[name] = torch.tensor(param.from_coordinate(random.uniform(low, high), np))
 
 
 def _weighted(terms: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:

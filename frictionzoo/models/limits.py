@@ -9,12 +9,9 @@ _AT_REST = 1e-12  # keeps logarithm and slope finite at v = 0; the factor there 
 _GONE = 5.0  # exp(-exp(5)) = 4e-65; larger values overflow in float32
 
 
-def stribeck_share(xp: Any, qvel: Any, velocity: Any, exponent: Any) -> Any:
-    """Return the Stribeck factor exp(-|v / v_s|^alpha) [1], 1 at rest and 0 at high speed.
-
-    v is the joint velocity, v_s the Stribeck velocity [rad/s or m/s], and alpha the exponent [1].
-    """
-    power = exponent / 2 * xp.log(xp.square(qvel / velocity) + _AT_REST)
+def stribeck_share(xp: Any, values: Values, qvel: Any) -> Any:
+    """Return the Stribeck factor exp(-|v / v_s|^alpha) [1] at a joint velocity, 1 at rest and 0 at high speed."""
+    power = values["stribeck_exponent"] / 2 * xp.log(xp.square(qvel / values["stribeck_velocity"]) + _AT_REST)
     return xp.exp(-xp.exp(xp.where(power < _GONE, power, _GONE)))
 
 
@@ -47,18 +44,7 @@ def directional_limit(xp: Any, values: Values, state: DriveState) -> Any:
 
     |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha), with the values of `Directional`
     """
-    share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
+    share = stribeck_share(xp, values, state.qvel)
     load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
     at_rest = gear_load(xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"])
     return load + share * (values["stribeck_torque"] + at_rest)
-
-
-def quadratic_gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
-    """Return the friction torque of a gear with opposing torques, quadratic in the weaker one [N m or N].
-
-    q_e tau_e^2 if the motor torque is larger, q_m tau_m^2 if it is smaller, 0 if both have the same sign; q_m and q_e
-    in [1/(N m) or 1/N].
-    """
-    driving = xp.abs(state.external_torque) < xp.abs(state.motor_torque)
-    weaker = xp.where(driving, external * xp.square(state.external_torque), motor * xp.square(state.motor_torque))
-    return xp.where(state.motor_torque * state.external_torque < 0, weaker, 0.0)

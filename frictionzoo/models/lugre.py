@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
-from frictionzoo.models.bristles import bend, settled_bend, slip, stribeck_force
+from frictionzoo.core.state import DriveState
+from frictionzoo.models import Values, register_model
+from frictionzoo.models.bristles import BristleModel, stribeck_force
 
 
 @register_model("lugre")
-class LuGre(FrictionModel):
+class LuGre(BristleModel):
     """Elastic bristles that deflect before they slip: presliding, breakaway, Stribeck effect and friction lag.
 
     Use it for drives with presliding and a breakaway torque above the sliding torque; without the latter, `dahl`
@@ -52,21 +52,8 @@ class LuGre(FrictionModel):
         "dahl": {"micro_damping": 0.0, "static_torque": "coulomb_torque", "kinetic_torque": "coulomb_torque"},
     }
     valleys = {"stribeck_velocity": (0.3, 3.0), "stiffness": (0.1, 10.0)}
-    dissipative = True
     sees = ("speed", "slow", "reversal")
-    memory = 1
 
-    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """Return the friction of slipping bristles."""
-        return slip(xp, values, state, stribeck_force(xp, values, state.qvel))
-
-    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """Return the deflection at rest or in steady motion."""
-        return settled_bend(xp, values, state, stribeck_force(xp, values, state.qvel))
-
-    def advance(
-        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
-    ) -> tuple[FrictionTerms, Any]:
-        """Return the bristle torque at the end of the step, and the deflection."""
-        limit = stribeck_force(xp, values, state.qvel)
-        return bend(xp, values, state, memory, timestep, limit, values["micro_damping"])
+    def limit(self, xp: Any, values: Values, state: DriveState) -> Any:
+        """Return the dry friction of slipping bristles at this velocity [N m or N]."""
+        return stribeck_force(xp, values, state.qvel)

@@ -2,15 +2,15 @@
 
 from typing import Any
 
-from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
-from frictionzoo.models.bristles import bend, settled_bend, slip, stribeck_bell, stribeck_force
+from frictionzoo.core.state import DriveState
+from frictionzoo.models import Values, register_model
+from frictionzoo.models.bristles import BristleModel, stribeck_bell, stribeck_force
 from frictionzoo.models.limits import gear_load
 from frictionzoo.models.lugre import LuGre
 
 
 @register_model("lugre_load_dependent")
-class LuGreLoadDependent(FrictionModel):
+class LuGreLoadDependent(BristleModel):
     """Elastic bristles that deflect before they slip; they slip later under gear load.
 
     Use it for drives with presliding and breakaway whose gear loses torque under load: `lugre` with the load terms of
@@ -57,26 +57,9 @@ class LuGreLoadDependent(FrictionModel):
         },
     }
     valleys = {"stribeck_velocity": (0.3, 3.0), "stiffness": (0.1, 10.0)}
-    dissipative = True
     sees = ("speed", "slow", "load", "reversal")
-    memory = 1
 
-    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """Return the friction of slipping bristles."""
-        return slip(xp, values, state, self._limit(xp, values, state))
-
-    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """Return the deflection at rest or in steady motion."""
-        return settled_bend(xp, values, state, self._limit(xp, values, state))
-
-    def advance(
-        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
-    ) -> tuple[FrictionTerms, Any]:
-        """Return the bristle torque at the end of the step, and the deflection."""
-        limit = self._limit(xp, values, state)
-        return bend(xp, values, state, memory, timestep, limit, values["micro_damping"])
-
-    def _limit(self, xp: Any, values: Values, state: DriveState) -> Any:
+    def limit(self, xp: Any, values: Values, state: DriveState) -> Any:
         """Return the dry friction of slipping bristles at this velocity and load [N m or N]."""
         load = gear_load(xp, state, values["load_friction"], values["load_friction"])
         at_rest = gear_load(xp, state, values["stribeck_load_friction"], values["stribeck_load_friction"])

@@ -7,8 +7,6 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, Params, Values, register_model
 from frictionzoo.models.bristles import settled_force, slip, stribeck_force
 
-MOST_ELEMENTS = 1000
-
 
 @register_model("maxwell_slip")
 class MaxwellSlip(FrictionModel):
@@ -64,7 +62,7 @@ class MaxwellSlip(FrictionModel):
 
     def __init__(self, nv: int, elements: int = 4, params: Params | None = None) -> None:
         super().__init__(nv, params)
-        refuse_outside("model.elements", elements, 1, MOST_ELEMENTS)
+        refuse_outside("model.elements", elements, 1, 1000)
         self.memory = elements
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

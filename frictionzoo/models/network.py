@@ -120,6 +120,11 @@ class GearNetwork(NetworkModel):
         return xp.concatenate([x, *map(xp.sin, phases), *map(xp.cos, phases)], -1)
 
 
+def reverse(state: DriveState) -> DriveState:
+    """Return the state with reversed motion and load at the same position; the command stays."""
+    return state._replace(qvel=-state.qvel, motor_torque=-state.motor_torque, external_torque=-state.external_torque)
+
+
 def _linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.Linear:
     """Return a linear layer with PyTorch's usual initial distribution, drawn from this generator."""
     # On the meta device, because the constructor would use the global generator.

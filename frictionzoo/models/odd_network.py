@@ -7,7 +7,7 @@ import numpy as np
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import Values, register_model
-from frictionzoo.models.network import GearNetwork
+from frictionzoo.models.network import GearNetwork, reverse
 
 
 @register_model("odd_network")
@@ -62,8 +62,3 @@ class OddNetwork(GearNetwork):
         there, back = (self.network(xp, values, x) for x in sides)
         # Subtract before any factor: a compiler may fuse a factor with one side only, which rounds differently.
         return FrictionTerms(torque=0.5 * values["torque_scale"] * (there - back)[..., 0])
-
-
-def reverse(state: DriveState) -> DriveState:
-    """Return the state with reversed motion and load at the same position; the command stays."""
-    return state._replace(qvel=-state.qvel, motor_torque=-state.motor_torque, external_torque=-state.external_torque)

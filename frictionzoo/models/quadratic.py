@@ -5,7 +5,7 @@ from typing import Any
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.directional import Directional
-from frictionzoo.models.limits import directional_limit, quadratic_gear_load, stribeck_share
+from frictionzoo.models.limits import directional_limit, stribeck_share
 
 
 @register_model("quadratic")
@@ -56,8 +56,12 @@ class Quadratic(FrictionModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the constraint's limit in this state, and the damping."""
-        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
-        sides = values["quadratic_load_friction_motor"], values["quadratic_load_friction_external"]
-        squared = quadratic_gear_load(xp, state, *sides)
+        share = stribeck_share(xp, values, state.qvel)
+        motor, external = state.motor_torque, state.external_torque
+        driving = xp.abs(external) < xp.abs(motor)
+        braked = values["quadratic_load_friction_external"] * xp.square(external)
+        driven = values["quadratic_load_friction_motor"] * xp.square(motor)
+        weaker = xp.where(driving, braked, driven)
+        squared = xp.where(motor * external < 0, weaker, 0.0)
         limit = values["frictionloss"] + directional_limit(xp, values, state) + share * squared
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

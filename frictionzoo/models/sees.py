@@ -3,19 +3,17 @@
 from collections.abc import Iterator
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ModelError
 from frictionzoo.core.state import DriveState
-from frictionzoo.models.base import FrictionModel, Values, sliding_torque
-from frictionzoo.models.network import NetworkModel
+from frictionzoo.models.base import FrictionModel, TorchFriction, Values, sliding_torque
+from frictionzoo.models.formula import draw_values, numpy_terms
+from frictionzoo.models.network import NetworkModel, reverse
 from frictionzoo.models.registry import REGISTRY
-from frictionzoo.models.torch_friction import TorchFriction
 
 SEES = ("speed", "slow", "fast", "direction", "load", "position", "temperature", "reversal")
 """Quantities on which friction may depend; see `FrictionModel.sees`."""
-DRAWS = 5  # of values between their bounds
 FEW = 8  # states that are checked
 FAR = 1e3  # order of speeds at which only friction that grows faster than the speed is curved
 CHANGED = 1e-9  # smallest relative change of the torque that counts
@@ -30,15 +28,15 @@ def observe(model: FrictionModel, samples: DriveState) -> set[str]:
     prepared; the samples are numpy arrays of shape (samples, nv).
     """
     quantities, state = {"reversal"} if model.memory else set(), _moving(samples)
-    for values in _draw(model):
+    for values in draw_values(model, weights=True):
         quantities |= {quantity for quantity, depends in _looks(model, values, state) if depends}
     return quantities
 
 
 def is_curved(model: FrictionModel, samples: DriveState) -> bool:
     """Return whether the friction over speed bends up anywhere, which also happens with the Stribeck effect."""
-    state = _moving(samples)
-    return any(_bends(_speeds(model, values, state, np.linspace(0.1, 3, 15))) for values in _draw(model))
+    state, speeds = _moving(samples), np.linspace(0.1, 3, 15)
+    return any(_bends(_speeds(model, values, state, speeds)) for values in draw_values(model, weights=True))
 
 
 def suggest_law(model: FrictionModel, seen: set[str], missing: str) -> tuple[str | None, bool]:
@@ -87,19 +85,6 @@ def _known_laws() -> Iterator[tuple[str, type[FrictionModel]]]:
             yield name, cls
 
 
-def _draw(model: FrictionModel) -> Iterator[Values]:
-    """Yield a model's values, and others between their bounds."""
-    random, drawn = np.random.default_rng(0), {n: v.detach().double() for n, v in model.state_dict().items()}
-    weights = [name for name, tensor in model.named_parameters() if name not in model.params]
-    for _ in range(1 + DRAWS):
-        yield drawn
-        drawn = {**drawn, **{name: torch.tensor(random.normal(size=drawn[name].shape)) for name in weights}}
-        for name, param in model.params.items():
-            ends = (param.each(side, model.nv)[param.members(model.nv)] for side in ("low", "high"))
-            low, high = (param.to_coordinate(end, np) for end in ends)
-            drawn[name] = torch.tensor(param.from_coordinate(random.uniform(low, high), np))
-
-
 def _looks(model: FrictionModel, values: Values, state: DriveState) -> Iterator[tuple[str, bool]]:
     """Yield each quantity and whether the friction depends on it with these values."""
 
@@ -110,8 +95,7 @@ def _looks(model: FrictionModel, values: Values, state: DriveState) -> Iterator[
     yield "speed", _differs(sizes - sizes[0], sizes)
     yield "slow", bool((-np.diff(sizes, axis=0) > CHANGED * np.abs(sizes).max()).any())
     yield "fast", _bends(_speeds(model, values, state, FAR * np.arange(1, 6)))
-    mirrored = {name: -getattr(state, name) for name in ("qvel", "motor_torque", "external_torque")}
-    yield "direction", _differs(base + torque(**mirrored), base)
+    yield "direction", _differs(base + _torque(model, values, reverse(state)), base)
     for name in ("motor_torque", "external_torque"):
         yield "load", _differs(base - torque(**{name: 0.5 * getattr(state, name) + 0.3}), base)
     yield "position", _differs(base - torque(qpos=0.7 * state.qpos + 0.31), base)
@@ -135,9 +119,7 @@ def _speeds(
 
 
 def _torque(model: FrictionModel, values: Values, state: DriveState) -> np.ndarray:
-    with torch.no_grad():
-        tensors = state.map(lambda signal: torch.tensor(signal, dtype=torch.float64))
-        return sliding_torque(torch, model.terms(torch, values, tensors), tensors.qvel).numpy()
+    return sliding_torque(np, numpy_terms(model, values, state), state.qvel)
 
 
 def _differs(change: np.ndarray, of: np.ndarray) -> bool:

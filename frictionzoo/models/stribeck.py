@@ -47,6 +47,5 @@ class Stribeck(FrictionModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the constraint's limit in this state, and the damping."""
-        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
-        limit = values["frictionloss"] + share * values["stribeck_torque"]
+        limit = values["frictionloss"] + stribeck_share(xp, values, state.qvel) * values["stribeck_torque"]
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

@@ -49,7 +49,7 @@ class StribeckLoadDependent(FrictionModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the constraint's limit in this state, and the damping."""
-        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
+        share = stribeck_share(xp, values, state.qvel)
         load = gear_load(xp, state, values["load_friction"], values["load_friction"])
         at_rest = gear_load(xp, state, values["stribeck_load_friction"], values["stribeck_load_friction"])
         limit = values["frictionloss"] + load + share * (values["stribeck_torque"] + at_rest)
