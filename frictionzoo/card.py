@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.card`, see `frictionzoo.cli.card`."""
+"""`python -m frictionzoo.card`, see `frictionzoo.cli.finished`."""
 
 if __name__ == "__main__":
     from frictionzoo.cli.commands import main

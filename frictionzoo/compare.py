@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.compare`, see `frictionzoo.cli.compare`."""
+"""`python -m frictionzoo.compare`, see `frictionzoo.cli.finished`."""
 
 if __name__ == "__main__":
     from frictionzoo.cli.commands import main

@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.distill`, see `frictionzoo.cli.distill`."""
+"""`python -m frictionzoo.distill`, see `frictionzoo.cli.finished`."""
 
 if __name__ == "__main__":
     from frictionzoo.cli.commands import main

@@ -27,7 +27,8 @@ import safetensors.numpy
 import torch
 
 import frictionzoo as fz
-from frictionzoo.cli import compare, distill, export, run
+from frictionzoo.cli import run
+from frictionzoo.cli.finished import compare, distill, export
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.manifest import MANIFEST, Manifest, State
 
@@ -451,11 +452,11 @@ def do(command: str, folder: Path) -> str:
     """Have the program take up a folder; returns `done` or `refused`."""
     out, output = io.StringIO(), folder.parent / "output"
     options = {
-        "compare": (compare.main, [str(folder), "--output", str(output)]),
-        "export": (export.main, [str(folder), "target=mjcf", f"output={output}"]),
+        "compare": (compare, [str(folder), "--output", str(output)]),
+        "export": (export, [str(folder), "target=mjcf", f"output={output}"]),
         "resume": (run.main, [f"resume={folder}"]),
         "distill": (
-            distill.main,
+            distill,
             [str(folder), "model=coulomb_smooth", "fit=adam", "fit.iterations=1", f"output={output}"],
         ),
     }

@@ -23,7 +23,7 @@ from robot_texts import LEG
 from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
-from frictionzoo.cli.card import main
+from frictionzoo.cli.finished import card as main
 from frictionzoo.core.anonymous import find_paths, list_paths, without_paths
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError

@@ -13,7 +13,7 @@ from test_bam import M1, options, write_logs
 
 import frictionzoo as fz
 from frictionzoo.bench.read_bam import read_bam
-from frictionzoo.cli.card import main
+from frictionzoo.cli.finished import card as main
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.report.card.record import CARD, PAGE
 from frictionzoo.report.card.write import write_card

@@ -11,14 +11,14 @@ import pytest
 from test_report import VALUES, bench, build, dataset, evaluation, model  # noqa: F401
 
 from frictionzoo.api.comparison_files import write_comparison
-from frictionzoo.cli.compare import main
+from frictionzoo.cli.finished import compare as main
 from frictionzoo.core.errors import RunError
+from frictionzoo.core.output import write_json
 from frictionzoo.core.state import Signals
 from frictionzoo.result.comparison.record import compare_runs, read_schema
 from frictionzoo.result.comparison.runs import Failure, read_runs
 from frictionzoo.result.curves import Curves, read_curves, write_curves
 from frictionzoo.result.portrait import Portrait
-from frictionzoo.result.record import write_result
 
 ROLLOUTS = 10
 RNG = np.random.default_rng(0)
@@ -79,7 +79,7 @@ def save(record, tmp_path):
             inner[key] = value
         folder = tmp_path / "sweep" / name
         folder.mkdir(parents=True)
-        write_result(folder / "result.json", result)
+        write_json(folder / "result.json", result)
         write_curves(folder, make_curves(errors))
         return folder
 

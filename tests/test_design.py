@@ -15,7 +15,7 @@ from conftest import Finished, finish, job_settings
 import frictionzoo as fz
 from frictionzoo.bench import Bench, Force
 from frictionzoo.bench.limits import Limits, Motion, refuse_unholdable
-from frictionzoo.cli.design import main
+from frictionzoo.cli.finished import design as main
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.design.excitation import _refuse_beyond, excite, prepare

@@ -13,8 +13,8 @@ import safetensors.torch
 import torch
 from conftest import Finished, finish, job_settings
 
-from frictionzoo.cli.distill import main
-from frictionzoo.cli.export import main as export
+from frictionzoo.cli.finished import distill as main
+from frictionzoo.cli.finished import export
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit import Objective

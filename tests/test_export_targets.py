@@ -19,7 +19,7 @@ from test_levels import imports
 
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, Robot
-from frictionzoo.cli.export import main
+from frictionzoo.cli.finished import export as main
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError

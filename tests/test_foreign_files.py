@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 import frictionzoo as fz
 from frictionzoo.api.comparison_files import FILES as COMPARISON
 from frictionzoo.api.comparison_files import write_comparison as write_real_comparison
-from frictionzoo.cli.design import main as excite
+from frictionzoo.cli.finished import design as excite
 from frictionzoo.cli.inspect import inspect_data
 from frictionzoo.cli.resume import recorded
 from frictionzoo.cli.student import distill
@@ -308,6 +308,21 @@ def test_an_append_that_was_cut_short_is_known_and_a_longer_file_is_not(tmp_path
     path.write_bytes(b"loss\n")
     Manifest(tmp_path, "run").write("metrics.csv", b"anew")
     assert Manifest(tmp_path, "run").owns("metrics.csv")
+
+
+def test_a_file_that_could_not_be_written_is_known_after_the_next_try(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any) -> None:
+        raise OSError(28, "no space")
+
+    manifest = Manifest(tmp_path, "run")
+    with monkeypatch.context() as patch, pytest.raises(OutputError):
+        patch.setattr("os.replace", fail)
+        manifest.write("result.json", b"{}")
+    assert not [*tmp_path.iterdir()]
+    manifest.write("result.json", b"{}")
+    assert Manifest(tmp_path, "run").owns("result.json")
 
 
 ALLOWED = {  # who may write or remove: the layer itself, and what export targets put into a scratch folder

@@ -1,7 +1,6 @@
 """The commands of the console script, and what `--help` tells of them: at once, and true."""
 
 import contextlib
-import importlib
 import os
 import pty
 import re
@@ -16,11 +15,12 @@ import pytest
 from conftest import ROOT, check_each, slow_but
 from test_readme import assert_composes
 
+from frictionzoo.cli import list as list_command
 from frictionzoo.cli import run
-from frictionzoo.cli.commands import _INSPECT, COMMANDS, HELP, dispatch, main
+from frictionzoo.cli.commands import _INSPECT, _MODULES, COMMANDS, HELP, dispatch, main
+from frictionzoo.cli.finished import parse, read_options
 from frictionzoo.cli.inspect import _name_files
 from frictionzoo.core.config import CONF_DIR
-from frictionzoo.core.options import read_options
 from frictionzoo.export.base import target_names
 
 HEAVY = {"hydra", "omegaconf", "numpy", "torch", "jax", "mujoco", "scipy"}
@@ -115,7 +115,7 @@ def check_example(name: str, *rest: str) -> None:
         return assert_composes([*rest])
     if name == "inspect":
         return assert_composes(_name_files([*rest]))
-    parsed = importlib.import_module(f"frictionzoo.cli.{name}")._parse([*rest])
+    parsed = list_command._parse([*rest]) if name == "list" else parse(name, rest)
     options = read_options(getattr(parsed, "options", []), "KEY=VALUE")
     assert options.get("target", "mjcf") in target_names()
     assert (CONF_DIR / "model" / f"{options.get('model', 'lugre')}.yaml").exists()
@@ -142,7 +142,8 @@ def test_a_command_gets_its_arguments(
     monkeypatch: pytest.MonkeyPatch, arguments: list[str], name: str, rest: list[str]
 ) -> None:
     given: list[Any] = []
-    monkeypatch.setattr(f"frictionzoo.cli.{name}.main", given.extend)
+    function = f"{name}.main" if name in _MODULES else f"finished.{name}"
+    monkeypatch.setattr(f"frictionzoo.cli.{function}", given.extend)
     assert dispatch(arguments) is None
     assert given == rest
 

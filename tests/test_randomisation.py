@@ -22,7 +22,7 @@ from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
 from frictionzoo.api.identified import Identified
-from frictionzoo.cli.export import main
+from frictionzoo.cli.finished import export as main
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.export import nearest as refit

@@ -19,7 +19,7 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.errors import OutputError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.manifest import MANIFEST
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import write_atomically, write_json
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit.uncertainty import Uncertainty
@@ -31,7 +31,7 @@ from frictionzoo.report.terminal import summarise
 from frictionzoo.report.with_matplotlib import draw
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Prediction
-from frictionzoo.result.record import Findings, build_result, read_schema, write_result
+from frictionzoo.result.record import Findings, build_result, read_schema
 from frictionzoo.simulation.proof import Proof
 
 TIMESTEP = 0.001
@@ -151,7 +151,7 @@ def test_schema_is_one_and_describes_every_field():
 
 def test_result_is_valid(result, tmp_path):
     validate(result)
-    write_result(tmp_path / "result.json", result)
+    write_json(tmp_path / "result.json", result)
     assert json.loads((tmp_path / "result.json").read_text()) == result
 
 

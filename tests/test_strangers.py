@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench
-from frictionzoo.cli import compare, export, inspect
+from frictionzoo.cli import inspect
+from frictionzoo.cli.finished import compare, export
 from frictionzoo.cli.overrides import given_to_hydra, quote_values, read_arguments, refuse_no_choice
 from frictionzoo.cli.resume import SETTINGS, restore_overrides
 from frictionzoo.core.build import build
@@ -159,7 +160,7 @@ def test_a_link_out_of_a_run_is_not_written_through(foreign: Path, tmp_path: Pat
     for refuse in (fz.load, lambda folder: restore_overrides([f"resume={folder}"])):
         with pytest.raises(FrictionzooError, match=f"foreign/{place}: a link out of foreign"):
             refuse(foreign)
-    finished = finish(lambda: compare.main([str(foreign)]))
+    finished = finish(lambda: compare([str(foreign)]))
     assert finished.status == 2 and not [*(tmp_path / "mine").iterdir()]
 
 
@@ -302,10 +303,10 @@ def test_a_header_of_a_recording_does_not_reach_the_terminal() -> None:
 def test_names_of_a_run_do_not_reach_the_terminal(foreign: Path) -> None:
     path, forged = foreign / "result.json", f"files{TITLE}\nverdict: all is well"
     path.write_text(path.read_text().replace('"files"', json.dumps(forged)))
-    finished = finish(lambda: compare.main([str(foreign), "--output", "out"]))
+    finished = finish(lambda: compare([str(foreign), "--output", "out"]))
     assert_plain(finished, 0)
     assert "\\x1b]0;owned" in finished.out and "\nverdict: all is well" not in finished.out + repr(fz.load(foreign))
-    assert_plain(finish(lambda: export.main([f"foreign{TITLE}", "target=mjcf"])), 2)
+    assert_plain(finish(lambda: export([f"foreign{TITLE}", "target=mjcf"])), 2)
 
 
 @pytest.mark.slow
@@ -315,7 +316,7 @@ def test_a_thousand_mutated_runs_and_cards_do_no_harm(
     """See hostile.py. Audit hooks cannot be removed, so that it is a process of its own."""
     source, card = finished_run("coulomb_smooth")[0], tmp_path / "card"
     finish(
-        lambda: __import__("frictionzoo.cli.card", fromlist=["main"]).main(
+        lambda: __import__("frictionzoo.cli.finished", fromlist=["card"]).card(
             [str(source), "licence=cc-by-4.0", f"output={card}"]
         )
     )

@@ -20,7 +20,7 @@ from frictionzoo import __version__
 from frictionzoo.bench.given import Given
 from frictionzoo.cli.job import run_job as run_real_job
 from frictionzoo.cli.sweep import _complaint, conclude_sweep, run_in_sweep
-from frictionzoo.core.config import CONF_DIR, forget_plugin_schemas, register_resolvers
+from frictionzoo.core.config import CONF_DIR, prepare_hydra
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.manifest import MANIFEST, Manifest
 from frictionzoo.core.output import write_atomically
@@ -276,8 +276,7 @@ def test_launchers_agree(start: Callable, finished_run: Callable, tiny: tuple[st
 
 
 def test_jobs_at_a_time_times_threads_is_cores() -> None:
-    register_resolvers()
-    forget_plugin_schemas()
+    prepare_hydra()
     launchers = {}
     with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
         for path in (CONF_DIR / "hydra" / "launcher").glob("*.yaml"):

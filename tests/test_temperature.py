@@ -16,7 +16,7 @@ from conftest import Finished, slow_but
 
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench
-from frictionzoo.cli.distill import main as distill
+from frictionzoo.cli.finished import distill
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import cut_segments

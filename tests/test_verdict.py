@@ -12,10 +12,8 @@ from conftest import Finished
 
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench.limits import Limits
-from frictionzoo.cli.design import _parse as parse_excite
-from frictionzoo.cli.export import _parse as parse_export
+from frictionzoo.cli.finished import parse, read_options
 from frictionzoo.core.config import check_overrides, compose_config
-from frictionzoo.core.options import read_options
 from frictionzoo.design.plan import Request
 from frictionzoo.export.base import REGISTRY as TARGETS
 from frictionzoo.identification.commands import Origin
@@ -203,13 +201,12 @@ def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) 
     check_overrides(config, compose_config(*chosen))
 
     assert excite[:3] == ["python", "-m", "frictionzoo.design"]
-    parsed = parse_excite(excite[3:])
-    (place,) = parsed.folders
-    request = Request.read(read_options(parsed.options, ""), Identified.load(Path(folder.parent, place)))
+    place, *options = parse("design", excite[3:]).options
+    request = Request.read(read_options(options, ""), Identified.load(Path(folder.parent, place)))
     limits = Limits.read(1, **request.limits)
     assert (limits.low < limits.home).all() and limits.velocity > 0 and limits.torque > 0
 
-    parsed = parse_export(export[3:])
+    parsed = parse("export", export[3:])
     assert export[:3] == ["python", "-m", "frictionzoo.export"] and Path(folder.parent, parsed.folder) == folder
     assert parsed.options == ["target=mjcf"] and "mjcf" in TARGETS.names()
     assert finished.out.rstrip().splitlines()[-3:] == [f"  {row['command']}" for row in rows]

@@ -1,11 +1,10 @@
 """Files of a comparison: JSON, page, figures, and a LaTeX table."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.output import claim, write_atomically
+from frictionzoo.core.output import claim, write_atomically, write_json
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import Run, read_runs
 from frictionzoo.result.comparison.types import Comparison
@@ -49,9 +48,8 @@ def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -
     from frictionzoo.report.comparison_page import write_page
     from frictionzoo.report.latex import tabulate_latex
 
-    content = (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode()
     with claim(output, "comparison", FILES):
         write_figures(output / "figures", comparison, runs)
         write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
         write_page(output / "comparison.html", comparison, runs)
-        write_atomically(output / "comparison.json", content)
+        write_json(output / "comparison.json", comparison)

@@ -1,13 +1,10 @@
 """`design_recording`: the next command to record, and its files."""
 
-import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from frictionzoo.core.errors import OutputError
-from frictionzoo.core.output import claim, to_json, write_atomically
+from frictionzoo.core.output import claim, refuse_existing, to_json, write_atomically, write_json
 from frictionzoo.design.excitation import Excitation, excite
 from frictionzoo.design.write import files_of
 from frictionzoo.report.design_page import write_page
@@ -34,13 +31,7 @@ class Design(Excitation):
                 write_atomically(folder / name, content)
             note = to_json({**self.note, "files": list(parts)})
             write_page(folder / "report.html", note, self.interval, self.motion)
-            write_atomically(folder / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
-
-
-def refuse_existing(folder: Path) -> None:
-    """Raise OutputError if the folder exists."""
-    if os.path.lexists(folder):
-        raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
+            write_json(folder / NOTE, note)
 
 
 def design_recording(options: Mapping[str, str], run: FittedDrive | None = None) -> Design:

@@ -11,12 +11,11 @@ import safetensors.torch
 from matplotlib.figure import Figure
 
 from frictionzoo import __version__
-from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically
+from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically, write_json
 from frictionzoo.export.written import Written
 from frictionzoo.result.curves import write_curves
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.read_back import LAW
-from frictionzoo.result.record import write_result
 from frictionzoo.result.types import Result
 
 
@@ -68,7 +67,7 @@ class Identified(FittedDrive):
         result["timing"]["total"] += time.perf_counter() - began
         replay = record_replay(self.bench, self.values["bench"], self.curves, self.segments.timestep)
         write_report(folder / "report.html", result, self.curves, replay)
-        write_result(folder / RESULT, result)
+        write_json(folder / RESULT, result)
         return result
 
     def plot(self) -> Figure:

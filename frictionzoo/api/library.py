@@ -15,14 +15,7 @@ from frictionzoo.bench import Bench, Robot
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_settings, list_choices
 from frictionzoo.core.described import describe
-from frictionzoo.core.errors import (
-    ConfigError,
-    FrictionzooError,
-    LogError,
-    ModelError,
-    RunError,
-    refuse_unlike,
-)
+from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError, ModelError, RunError, refuse_unlike
 from frictionzoo.core.log import Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.data.cache import digest
@@ -354,10 +347,10 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
     return _make_law(name, nv, {"scale": scale} if scale else {}, options)
 
 
-def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> FrictionModel:
+def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any]) -> FrictionModel:
     if name not in list_choices("model"):
-        return get_model(name)(nv, **(options or {}))
-    return build(law_section(name, shared, options or {}), FrictionModel, nv=nv)
+        return get_model(name)(nv, **options)
+    return build(law_section(name, shared, options), FrictionModel, nv=nv)
 
 
 def _refuse_unknown(law: str | FrictionModel | Mapping[str, Any]) -> None:

@@ -23,7 +23,7 @@ COMMANDS = {
     "design": "design the command to record next, within limits",
     "list": "list models, methods, formats and other choices",
 }
-"""Summary of each command; its module in this package has the same name and a `main` that takes its arguments."""
+"""Summary of each command; a function of `finished` takes its arguments, or `main` of the module in `_MODULES`."""
 
 HELP = """\
 frictionzoo identifies a drive's armature and friction from its encoder log. It
@@ -98,6 +98,7 @@ Options: data options of a run, and hydra.run.dir=FOLDER for the output.
 _FLAGS = {"-h", "--help"}
 _COMPLETED = "COMP_LINE"  # variable with the line that a shell completes
 _SWEEP = {"-m", "--multirun"}
+_MODULES = ("run", "inspect", "list")  # commands with a module of that name
 _COMPOSING = ("run", "inspect")  # commands that wait for Hydra before their first output
 
 
@@ -133,7 +134,8 @@ def dispatch(arguments: Sequence[str]) -> None:
     else:
         if name in _COMPOSING and not any(argument.startswith("-") for argument in {*rest} - _SWEEP):
             tell(f"frictionzoo {name}: reading the options")
-        importlib.import_module(f"frictionzoo.cli.{name}").main(rest)
+        module, function = (name, "main") if name in _MODULES else ("finished", name)
+        getattr(importlib.import_module(f"frictionzoo.cli.{module}"), function)(rest)
 
 
 def _complete(asked: Sequence[str]) -> None:

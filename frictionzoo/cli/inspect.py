@@ -1,7 +1,6 @@
 """Command line: `python -m frictionzoo.inspect FILE` or `data=...` checks recordings before a fit."""
 
 import contextlib
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,9 +14,9 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.core.build import build
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra
 from frictionzoo.core.errors import ConfigError, FrictionzooError
-from frictionzoo.core.output import claim, write_atomically
+from frictionzoo.core.output import claim, write_json
 from frictionzoo.core.telling import say
 from frictionzoo.data.source import Source
 
@@ -59,7 +58,7 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
         recordings, names = put_in_order(list_recordings(source), joints)
         survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type, names)
         write_page(folder / "inspect.html", survey, recordings)
-        write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())
+        write_json(folder / "inspect.json", survey)
     return summarise(survey, folder)
 
 
@@ -74,8 +73,7 @@ def _build_bench(config: DictConfig) -> Any:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command like `run`; files and folders may precede the overrides."""
-    register_resolvers()
-    forget_plugin_schemas()
+    prepare_hydra()
     # The last override of an option, the user's, wins.
     overrides = [
         f"hydra.run.dir={FOLDER}",

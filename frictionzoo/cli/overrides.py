@@ -53,9 +53,8 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
         if not ("/" in group or is_group(group)):
             continue
         names, valid_names = choices_named(override), [*list_choices(group), *_list_added(group, arguments)]
-        if group in _OPTIONAL_GROUPS and (override.is_delete() or all(name in valid_names for name in names)):
-            continue
-        if group == "start" and all(name is None or name in valid_names for name in names):
+        is_valid = all(name in valid_names or (name is None and group == "start") for name in names)
+        if group in _OPTIONAL_GROUPS and (override.is_delete() or is_valid):
             continue
         text = str(override.input_line)
         if override.is_delete() or not all(isinstance(name, str) for name in names) or group == "variant":

@@ -1,7 +1,6 @@
 """Resuming of a stopped run or sweep from the resolved settings in its folder."""
 
 import contextlib
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, l
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError, closest
 from frictionzoo.core.jobs import read_json, refuse_links
 from frictionzoo.core.manifest import remove_if_empty
-from frictionzoo.core.output import RESULT, SETTLED, remove_written, to_json, write_atomically
+from frictionzoo.core.output import RESULT, SETTLED, remove_written, to_json, write_atomically, write_json
 
 SETTINGS = Path(".hydra", "settings.json")
 GROUPS = frozenset(path.name for path in CONF_DIR.iterdir() if path.is_dir()) - {"experiment", "hydra"}
@@ -47,7 +46,7 @@ class Begun(NamedTuple):
 
     def save(self, folder: Path) -> None:
         """Write `SETTINGS` into a run's folder; OutputError if it cannot be written."""
-        write_atomically(folder / SETTINGS, f"{json.dumps(to_json(self._asdict()), indent=2)}\n".encode())
+        write_json(folder / SETTINGS, to_json(self._asdict()))
 
     @classmethod
     def read(cls, folder: Path) -> "Begun":

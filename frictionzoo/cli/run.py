@@ -30,7 +30,7 @@ from frictionzoo.cli.resume import (
 )
 from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, folders_made, objective_of, run_in_sweep
 from frictionzoo.core.build import build
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra
 from frictionzoo.core.output import LOGGERS, RUN_FILES, occupy
 from frictionzoo.core.telling import say, tell
 from frictionzoo.core.threads import limit_threads, threads_each
@@ -121,8 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     A user's mistake gives one line on standard error and status 2; a sweep prints one line for each failed job after
     the last one. A fit that did not identify the drive gives status 3, Ctrl-C one line and status 130, SIGTERM 143.
     """
-    register_resolvers()
-    forget_plugin_schemas()
+    prepare_hydra()
     with mistakes_in_one_line():
         overrides = restore_overrides(quote_values(sys.argv[1:] if arguments is None else arguments))
         refuse_no_choice(overrides)

@@ -1,6 +1,5 @@
 """Distillation: fit another friction model (the student) to a run's drive (the teacher), and compare both."""
 
-import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,8 +19,8 @@ from frictionzoo.core.config import (
     list_choices,
     read_value,
 )
-from frictionzoo.core.errors import ConfigError, FitError, OutputError, closest
-from frictionzoo.core.output import RUN_FILES, claim
+from frictionzoo.core.errors import ConfigError, FitError, closest
+from frictionzoo.core.output import RUN_FILES, claim, refuse_existing
 from frictionzoo.core.telling import say
 from frictionzoo.report.terminal import summarise, summarise_comparison
 
@@ -44,8 +43,7 @@ def distill(folder: Path, options: Mapping[str, str]) -> None:
     config = compose_student(teacher, {key: value for key, value in options.items() if key != "output"})
     name = options["model"]
     place = Path(options.get("output", folder / "distilled" / name))
-    if os.path.lexists(place):
-        raise OutputError(f"{place}: it exists already, expected a new folder; remove it or set output to another")
+    refuse_existing(place)
     with claim(place, "run", RUN_FILES, undone=True):
         student, complaint = run_job(config, name, place, teacher, [f"{key}={value}" for key, value in options.items()])
         compared = write_comparison([Path(teacher.place), place], place / "comparison")
@@ -89,15 +87,9 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
     sections = {group: OmegaConf.to_container(composed[group], resolve=False) for group in choices}
     count, length = (settings["segments"][key] for key in ("count", "length"))
     longer = max(length, round(settings["evaluation"]["horizons"][0] / teacher.segments.timestep))
+    loss = {"robust": "none", "refine": False, "continuity": 0.0, "impulse": False, "slow": 0.0}
     replaced = {
-        "loss": {
-            **settings["loss"],
-            "robust": "none",
-            "refine": False,
-            "continuity": 0.0,
-            "impulse": False,
-            "slow": 0.0,
-        },
+        "loss": {**settings["loss"], **loss},
         "discretisation": False,  # the teacher was simulated with the same step
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         "resume": None,

@@ -20,7 +20,7 @@ from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.jobs import find_runs, read_failure, read_json
 from frictionzoo.core.manifest import Manifest, State, saying
-from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock, occupy, to_json, write_atomically
+from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock, occupy, to_json, write_json
 from frictionzoo.result.types import Result
 
 _log = logging.getLogger(__name__)
@@ -115,7 +115,7 @@ def run_in_sweep(
             _log.error("%s: %s", folder.name, complaint, exc_info=None if foreseen else error)
             # On a full disk only the log reports it: Hydra would print an error from here in extra lines.
             with contextlib.suppress(OutputError):
-                write_atomically(folder / FAILURE, f"{json.dumps(content, indent=2)}\n".encode())
+                write_json(folder / FAILURE, content)
         else:
             if complaint:
                 _log.error("%s: %s", folder.name, complaint)

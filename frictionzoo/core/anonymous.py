@@ -10,17 +10,8 @@ from xml.parsers import expat
 _PART = r"""[^\s\\/'"\],;:()<>]"""
 _PATH = re.compile(rf"(?<![\w./~\\:<-])(?:~|[A-Za-z]:)?[\\/](?:{_PART}+[\\/])*({_PART}+)")
 _FILES = {
-    "mjcf",
-    "folder",
-    "train",
-    "test",
-    "run",
-    "teacher",
-    "resume",
-    "compilation_cache",
-    "cache_dir",
-    "save_dir",
-    "dir",
+    *("mjcf", "folder", "train", "test", "run", "teacher", "resume"),
+    *("compilation_cache", "cache_dir", "save_dir", "dir"),
 }
 """Options that hold files or folders, by the last part of their key."""
 
@@ -63,7 +54,9 @@ def without_paths(value: Any, paths: Collection[str], names: Collection[str] = (
     folder `below` become relative to it. Other text stays, even if it looks like a path; so do `names` of joints.
     """
     files = {path for path in paths if _as_path(path).name}
-    folders = {str(_folder_of(path)) for path in files} | {str(Path.home()), str(Path.cwd())}
+    # The folder of a file, or of all files that a pattern matches.
+    folders = {str(_as_path(re.split(r"[*?\[]", path)[0] + "x").parent) for path in files}
+    folders |= {str(Path.home()), str(Path.cwd())}
     patterns = {name: re.escape(name) for name in names if "/" in name or "\\" in name}
     patterns |= {path: rf"(?<![\w.~]){re.escape(path)}(?![\w-])" for path in files - patterns.keys()}
     for folder in folders - patterns.keys():
@@ -90,11 +83,6 @@ def _shorten(path: str, below: Path | None) -> str:
 
 def _as_path(text: str) -> PurePath:
     return PurePosixPath(text) if text.startswith(("/", "~/")) else PureWindowsPath(text)
-
-
-def _folder_of(path: str) -> PurePath:
-    """Return the folder of a file, or of all files that a pattern matches."""
-    return _as_path(re.split(r"[*?\[]", path)[0] + "x").parent
 
 
 def _exists(path: str) -> bool:

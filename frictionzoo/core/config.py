@@ -28,48 +28,31 @@ _PACKAGE = Path(__file__).parents[1]
 CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
 # Options that accept other kinds of values than in conf/: an example of each kind, None for null.
 _TAKES: dict[str, tuple[Any, ...]] = {
+    "bench.actuator.params.k[pd].init": (0.1, [0.1], None),
+    **dict.fromkeys(("threads", "segments.count", "loop.patience", "evaluation.rollouts"), (0, None)),
+    **dict.fromkeys(("compilation_cache", "bench.payload"), ("", None)),
+    **{f"data.{part}": ("", None) for part in ("folder", "origin", "cache_dir", "source", "fields_from_name")},
+    **{f"loss.{part}": (0.1,) for part in ("position", "velocity", "robust_scale", "encoder_step")},
+    **dict.fromkeys(("loss.refine", "loss.by_joint", "bench.second_order"), (True,)),
+    **dict.fromkeys(("evaluation.torque.bandwidth", "bench.timestep"), (0.1, None)),
+    **{f"data.clean.{part}": (0.1, None) for part in ("wrap", "step", "command_lag")},
+    **dict.fromkeys(("data.train", "data.test"), ("", [""])),
+    **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},
     "resume": ("", True, None),
-    "threads": (0, None),
-    "compilation_cache": ("", None),
     "model.laws": ("", []),
-    "segments.count": (0, None),
     "segments.length": (0,),
-    "loss.position": (0.1,),
-    "loss.velocity": (0.1,),
     "loss.robust": ("",),
-    "loss.robust_scale": (0.1,),
-    "loss.encoder_step": (0.1,),
-    "loss.refine": (True,),
-    "loss.by_joint": (True,),
-    "loop.patience": (0, None),
     "fit.start": ({}, None),
-    "evaluation.rollouts": (0, None),
-    "evaluation.torque.bandwidth": (0.1, None),
     "evaluation.torque.held": (True, None),
     "bench.joint": ("", [""], 0, [0], None),  # a joint may be called 0
-    "bench.payload": ("", None),
-    "bench.timestep": (0.1, None),
     "bench.solreffriction": ([0.1], ""),
-    "bench.second_order": (True,),
-    "bench.actuator.params.k[pd].init": (0.1, [0.1], None),
     "*.params.*.scale": ("", 0.1),
     "*.params.*.identify": (True, [True]),
-    **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},
     "data.columns.*": ("", [""], None),
     "data.units.*": ("", 0.1, None),
     "data.sign.*": (1, [1]),
-    "data.clean.wrap": (0.1, None),
-    "data.folder": ("", None),
-    "data.origin": ("", None),
-    "data.cache_dir": ("", None),
-    "data.source": ("", None),
-    "data.fields_from_name": ("", None),
-    "data.train": ("", [""]),
-    "data.test": ("", [""]),
     "data.split.test": ([], "", 0.0),
-    "data.clean.step": (0.1, None),
     "data.clean.velocity_lag": (0.1, "", None),
-    "data.clean.command_lag": (0.1, None),
 }
 _OWN_CACHE = "user"  # the user's cache folder of the operating system
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # JAX counts in 32 bits, generators take 64-bit seeds
@@ -83,20 +66,17 @@ _KINDS = {
 }
 # Sections whose keys a user chooses: names of fields and signals, patterns of joints and their groups.
 _OPEN = (
-    "model.laws",
-    "data.columns",
-    "data.units",
-    "data.fields",
-    "data.where",
-    "data.exclude",
-    "data.inputs",
-    "bench.tie",
+    *("model.laws", "bench.tie"),
+    *(f"data.{part}" for part in ("columns", "units", "fields", "where", "exclude", "inputs")),
+    *(f"*.params.*.{part}" for part in ("init", "low", "high", "identify", "tie")),
 )
-_OPEN += tuple(f"*.params.*.{part}" for part in ("init", "low", "high", "identify", "tie"))
 
 
-def register_resolvers() -> None:
-    """Register `mul`, `div`, `run_dir` (the resumed folder, else a new one) and core counts for configurations."""
+def prepare_hydra() -> None:
+    """Register `mul`, `div`, `run_dir` (the resumed folder, else a new one) and core counts for configurations.
+
+    Remove schemas of Hydra plug-ins named like a file in `conf/hydra/`: merging them would warn or fail.
+    """
     resolvers = {
         "mul": lambda factor, other: float(factor) * float(other),
         "div": lambda dividend, divisor: float(dividend) / float(divisor),
@@ -107,10 +87,6 @@ def register_resolvers() -> None:
     }
     for name, resolver in resolvers.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)
-
-
-def forget_plugin_schemas() -> None:
-    """Remove schemas of Hydra plug-ins named like a file in `conf/hydra/`: merging them would warn or fail."""
     Plugins.instance()  # imports the plugins, which store their schemas
     store = ConfigStore.instance()
     for path in (CONF_DIR / "hydra").glob("*/*.yaml"):
@@ -119,8 +95,7 @@ def forget_plugin_schemas() -> None:
 
 def compose_config(*overrides: str) -> DictConfig:
     """Compose the configuration of a job from overrides, `key=value`, as on the command line."""
-    register_resolvers()
-    forget_plugin_schemas()
+    prepare_hydra()
     with _hydra():
         return compose("config", overrides=list(overrides))
 

@@ -40,7 +40,8 @@ def read_failure(folder: Path) -> Failure | None:
     if (folder / RESULT).exists():
         return None
     if not (folder / FAILURE).exists():
-        return Failure(folder.name, _read_model(folder), "no result: its process ended before it was done")
+        model = read_begun(folder, "hydra", "hydra", "runtime", "choices", "model")  # None if the file was cut short
+        return Failure(folder.name, str(model or ""), "no result: its process ended before it was done")
     saved = read_json(folder / FAILURE)
     model, reason = (" ".join(str(saved.get(key, "")).split()) for key in ("model", "reason"))
     return Failure(folder.name, model, reason)
@@ -50,11 +51,6 @@ def refuse_unfinished(folder: Path) -> None:
     """Refuse a folder without a finished run, before slow imports: RunError."""
     if not (folder / RESULT).exists():
         raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
-
-
-def _read_model(folder: Path) -> str:
-    """Return the model of a job; empty if Hydra's file was cut short."""
-    return str(read_begun(folder, "hydra", "hydra", "runtime", "choices", "model") or "")
 
 
 def read_begun(folder: Path, file: str, *keys: str) -> Any:
@@ -110,13 +106,10 @@ def _refuse_deep(path: Path, content: Any) -> None:
     """Refuse content nested too deeply for recursive functions."""
     level = [content]
     for _ in range(_DEEPEST):
-        level = [part for section in level if isinstance(section, dict | list) for part in _list_parts(section)]
+        sections = [part for part in level if isinstance(part, dict | list)]
+        level = [part for each in sections for part in (each.values() if isinstance(each, dict) else each)]
         if not level:
             return
     raise RunError(
         f"{path}: more than {_DEEPEST} sections within each other; expected the file that this version writes"
     )
-
-
-def _list_parts(content: dict[str, Any] | list[Any]) -> list[Any]:
-    return [*(content.values() if isinstance(content, dict) else content)]

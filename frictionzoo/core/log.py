@@ -114,21 +114,18 @@ class Log:
                 "check the columns"
             )
         for signal in ("time", "qpos", "qvel", "ctrl"):
-            self._refuse_nonfinite(signal)
-            self._refuse_absurd(signal)
+            self._refuse_impossible(signal)
         self._refuse_uneven_time()
 
-    def _refuse_nonfinite(self, signal: str) -> None:
-        values = getattr(self, signal)
-        bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    def _refuse_impossible(self, signal: str) -> None:
+        values = getattr(self, signal).reshape(self.samples, -1)
+        bad = ~np.isfinite(values).all(axis=1)
         if bad.any():
             raise LogError(
                 f"{self.name}: {signal} is NaN or infinite in {bad.sum()} of {len(bad)} samples, first at sample "
                 f"{int(np.argmax(bad))}; expected finite values; cut or repair the log"
             )
-
-    def _refuse_absurd(self, signal: str) -> None:
-        size = np.abs(getattr(self, signal)).reshape(self.samples, -1).max(axis=1)
+        size = np.abs(values).max(axis=1)
         if (size > ABSURD).any():
             i = int(np.argmax(size))
             raise LogError(
@@ -150,7 +147,7 @@ class Log:
             i = int(np.argmax(uneven))
             raise LogError(
                 f"{self.name}: {steps[i]:.6g} s between samples {i} and {i + 1}, expected {np.median(steps):.6g} s "
-                f"everywhere; resample the log to a constant step"
+                "everywhere; resample the log to a constant step"
             )
 
     @property

@@ -159,6 +159,7 @@ class Manifest:
         if self._tokens and not any(os.path.lexists(self.root / name) for name in self._listed):
             with contextlib.suppress(OSError):
                 (self.root / MANIFEST).unlink()
+            self._states.clear()  # `record` lists them again
             self._began = False
 
     def record(self, states: Mapping[str, State]) -> None:
@@ -182,8 +183,9 @@ class Manifest:
     def adopt(self, folder: str) -> None:
         """List the contents of the files in a subfolder that are now finished."""
         names = [name for name in self._walk(folder) if name not in self._states and self.owns(name)]
+        paths = {name: self.root / name for name in names if not (self.root / name).is_symlink()}
         with saying(self.root / folder):
-            self.record({name: _state_of(self.root / name) for name in names if not (self.root / name).is_symlink()})
+            self.record({name: State.of(path.read_bytes()) for name, path in paths.items()})
 
     def begin(self) -> None:
         """Create the manifest if needed and add this process's token, which marks its unfinished files."""
@@ -329,11 +331,6 @@ def _is_inside(name: str) -> bool:
 def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
     """Return the status that changes with a file's content."""
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
-
-
-def _state_of(path: Path) -> State:
-    size = path.stat().st_size
-    return State(size, _hash(path, size), size)
 
 
 def _is_one_of(path: Path, states: Sequence[State]) -> bool:

@@ -1,6 +1,7 @@
 """Output of results: a file is written whole or not at all."""
 
 import contextlib
+import json
 import logging
 import math
 import os
@@ -144,6 +145,12 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
         lock.release()
 
 
+def refuse_existing(folder: Path) -> None:
+    """Raise OutputError if the folder exists."""
+    if os.path.lexists(folder):
+        raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
+
+
 def is_lock(path: Path) -> bool:
     """Return whether a file can be a job's lock: it is empty, so locking it changes nothing."""
     with contextlib.suppress(OSError):
@@ -167,6 +174,11 @@ def write_atomically(path: Path, content: bytes) -> None:
     with saying(path, len(content)):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a JSON file as `write_atomically` does; ValueError for NaN and infinities."""
+    write_atomically(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
 def remove_written(path: Path) -> None:

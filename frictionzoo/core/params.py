@@ -9,9 +9,6 @@ import numpy as np
 
 from frictionzoo.core.errors import ConfigError, MissingValueError, closest
 
-AT_BOUND = 1e-4
-"""Tolerance for reaching a bound, as a share of the distance between bounds in the coordinate."""
-
 AUTO = "auto"
 """Value of an automatic setting, which `recipe=auto` chooses on the training recordings."""
 
@@ -209,7 +206,7 @@ class Param:
         ends = [self.each(side, len(value)) if value.ndim else getattr(self, side) for side in ("low", "high")]
         with np.errstate(divide="ignore", invalid="ignore"):  # a known value may have no logarithm
             coordinate, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, *ends))
-        return np.minimum(coordinate - low, high - coordinate) <= AT_BOUND * (high - low)
+        return np.minimum(coordinate - low, high - coordinate) <= 1e-4 * (high - low)
 
     def unit(self, joint_type: str) -> str:
         """Return its unit on a `hinge` or a `slide`."""

@@ -19,7 +19,7 @@ T = TypeVar("T")
 B = TypeVar("B")
 
 
-class Found(NamedTuple):
+class Plugin(NamedTuple):
     """Plug-in as read from its file, without importing it.
 
     `target` is the dotted name of the class, as in `_target_`; `summary` is the first line of its docstring.
@@ -61,20 +61,20 @@ class Kind:
         """Entry-point group of other packages."""
         return f"frictionzoo.{self.plural}"
 
-    def own(self) -> dict[str, Found]:
+    def own(self) -> dict[str, Plugin]:
         """Return frictionzoo's plug-ins by name, read from the files of `home`, imported or not.
 
         Raises:
             ConfigError: Two files register one name.
         """
-        plugins: dict[str, Found] = {}
+        plugins: dict[str, Plugin] = {}
         home = sys.modules.get(self.home)
         source = Path(__file__).parents[1].joinpath(*self.home.split(".")[1:])
         for folder in home.__path__ if home else [str(source)]:
             for path in sorted(Path(folder).glob("*.py")):
                 for name, cls, summary in _read_file(path, self.decorator):
                     module = f"{self.home}.{path.stem}"
-                    new = Found(name, module, f"{self.home if self.offered else module}.{cls}", summary)
+                    new = Plugin(name, module, f"{self.home if self.offered else module}.{cls}", summary)
                     if plugins.setdefault(name, new) != new:
                         raise ConfigError(f"{name}: registered by {plugins[name].target} and {new.target}; rename one")
         return plugins
@@ -83,20 +83,20 @@ class Kind:
         """Return the entry points of other packages."""
         return _entry_points(tuple(sys.path))[self.group]
 
-    def list_all(self) -> list[Found]:
+    def list_all(self) -> list[Plugin]:
         """Return all plug-ins, sorted by name, without importing them."""
         return sorted([*self.own().values(), *map(self.describe, self.brought())])
 
-    def describe(self, point: EntryPoint) -> Found:
+    def describe(self, point: EntryPoint) -> Plugin:
         """Return another package's plug-in as read from its file."""
         try:
             origin = getattr(find_spec(point.module), "origin", None)
         except Exception as error:  # another package's import error must not end the listing
-            return Found(point.name, point.module, point.module, f"does not load: {error}")
+            return Plugin(point.name, point.module, point.module, f"does not load: {error}")
         for name, cls, summary in _read_file(Path(origin), self.decorator) if origin else ():
             if name == point.name:
-                return Found(name, point.module, f"{point.module}.{cls}", summary)
-        return Found(point.name, point.module, point.module, "")
+                return Plugin(name, point.module, f"{point.module}.{cls}", summary)
+        return Plugin(point.name, point.module, point.module, "")
 
 
 KINDS = {
@@ -201,9 +201,9 @@ class Registry(Generic[B]):
         self.entries[name] = cls
         return cls
 
-    def _load(self, found: Found) -> type[B]:
-        cls = getattr(importlib.import_module(found.module), found.target.rpartition(".")[2])
-        return self.entries.setdefault(found.name, cls)
+    def _load(self, plugin: Plugin) -> type[B]:
+        cls = getattr(importlib.import_module(plugin.module), plugin.target.rpartition(".")[2])
+        return self.entries.setdefault(plugin.name, cls)
 
     def _outside(self) -> dict[str, EntryPoint]:
         points: dict[str, EntryPoint] = {}

@@ -15,7 +15,6 @@ from frictionzoo.core.state import Signals
 _log = logging.getLogger(__name__)
 
 SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs used together
-PLACEMENTS = ("random", "consecutive")
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,9 @@ def cut_rollouts(
         ConfigError: An option is impossible.
     """
     timestep = _refuse_mixture(logs)
-    length = _steps(horizon_s, timestep, options[0])
+    length = round(horizon_s / timestep)
+    if length < 1:
+        raise ConfigError(f"{options[0]}: {horizon_s:g} s, expected at least one step of {timestep:g} s")
     for log in logs:
         if log.samples < length + 1:
             raise LogError(
@@ -160,7 +161,7 @@ def cut_rollouts(
     elif placement == "random":
         places = _draw(_places([np.arange(log.samples - length) for log in logs]), count, seed, options[1])
     else:
-        raise ConfigError(f"evaluation.placement={placement}: unknown; {closest(placement, PLACEMENTS)}")
+        raise ConfigError(f"evaluation.placement={placement}: unknown; {closest(placement, ('random', 'consecutive'))}")
     return _windows(logs, places, length, history)
 
 
@@ -209,13 +210,6 @@ def _refuse_mixture(logs: Sequence[Log]) -> float:
 def _refuse_below_one(option: str, value: int | None) -> None:
     if value is not None and value < 1:
         raise ConfigError(f"{option}={value}: expected 1 or more")
-
-
-def _steps(horizon_s: float, timestep: float, option: str) -> int:
-    steps = round(horizon_s / timestep)
-    if steps < 1:
-        raise ConfigError(f"{option}: {horizon_s:g} s, expected at least one step of {timestep:g} s")
-    return steps
 
 
 def _consecutive(log: Log, length: int) -> Int[np.ndarray, "segments"]:

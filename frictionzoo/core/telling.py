@@ -1,4 +1,4 @@
-"""Text for people: printed, logged or raised with control characters escaped, and percentages."""
+"""Text for people: printed, logged or raised with control characters escaped; percentages, and aligned tables."""
 
 import argparse
 import contextlib
@@ -7,9 +7,11 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+Rows = Sequence[Sequence[str]]
+_COLUMNS = {"qpos": "position", "qvel": "velocity", "ctrl": "command", "torque": "torque"}
 # Control characters, text direction marks, line separators, halves of surrogate pairs.
 _CONTROL = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff\U000e0000-\U000e007f]"
@@ -99,3 +101,22 @@ def say_percent(share: float, digits: int = 2) -> str:
     """Format a share in per cent with at least `digits` digits, without exponent: 0.0712 is `7.1 %`, 23.71 `2371 %`."""
     percent, rounded = 100 * share, f"{100 * share:.{digits}g}"
     return f"{percent:.0f} %" if "e+" in rounded else f"{rounded} %"
+
+
+def align(rows: Rows) -> str:
+    """Align a table: columns padded to their longest entry, numbers right-aligned, text left-aligned."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    flush = [str.rjust if all(map(_is_number, column[1:])) else str.ljust for column in zip(*rows, strict=True)]
+    lines = ("  ".join(pad(cell, width) for pad, cell, width in zip(flush, row, widths, strict=True)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def list_columns(columns: Mapping[str, Any]) -> Rows:
+    """Return a table of the column assigned to each joint, from `columns` of `result.json` or `inspect.json`."""
+    signals = sorted(columns["by"], key=[*_COLUMNS, *columns["by"]].index)
+    rows = [("joint <-", *(str(_COLUMNS.get(signal, signal)) for signal in signals))]
+    return [*rows, *((row["joint"], *(row["columns"][signal] for signal in signals)) for row in columns["joints"])]
+
+
+def _is_number(cell: str) -> bool:
+    return not cell or cell == "none" or cell[0] in "+-.0123456789"

@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.design`, see `frictionzoo.cli.design`."""
+"""`python -m frictionzoo.design`, see `frictionzoo.cli.finished`."""
 
 from frictionzoo.cli.commands import main
 

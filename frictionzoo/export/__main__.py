@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.export`, see `frictionzoo.cli.export`."""
+"""`python -m frictionzoo.export`, see `frictionzoo.cli.finished`."""
 
 from frictionzoo.cli.commands import main
 

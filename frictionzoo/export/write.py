@@ -14,10 +14,9 @@ import numpy as np
 
 from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
-from frictionzoo.core.output import take_place, to_json, write_atomically
+from frictionzoo.core.output import take_place, to_json, write_atomically, write_json
 from frictionzoo.core.params import UNITS
-from frictionzoo.core.table import align
-from frictionzoo.core.telling import escape_all
+from frictionzoo.core.telling import align, escape_all
 from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -159,7 +158,7 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
         export = Export(export.files, export.differences, (*export.limits, *_say_simulator(moved)))
         written = Written(name, place, export, error=moved.result["metrics"]["test"]["position_mae"])
         note = _note(moved, written, target.packages, export)
-        write_atomically(fresh / NOTE, (json.dumps(to_json(note), indent=2, allow_nan=False) + "\n").encode())
+        write_json(fresh / NOTE, to_json(note))
     return written
 
 

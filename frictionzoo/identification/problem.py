@@ -21,7 +21,7 @@ from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
-from frictionzoo.core.table import align, list_columns
+from frictionzoo.core.telling import align, list_columns
 from frictionzoo.data.pairing import describe_columns
 from frictionzoo.diagnostics import check_up
 from frictionzoo.diagnostics.findings import Doubt

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.core.table import align
-from frictionzoo.core.telling import escape_all, say_percent
+from frictionzoo.core.telling import align, escape_all, say_percent
 
 
 def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:

@@ -6,8 +6,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from frictionzoo.core.table import align, list_columns
-from frictionzoo.core.telling import escape_all
+from frictionzoo.core.telling import align, escape_all, list_columns
 
 WIDTH = 110  # characters per line, at most, and without a terminal
 MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}

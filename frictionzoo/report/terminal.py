@@ -7,8 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.core.table import Rows, align
-from frictionzoo.core.telling import escape_all
+from frictionzoo.core.telling import Rows, align, escape_all
 from frictionzoo.report.text import escape_markdown, format_number, format_share
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known

@@ -17,7 +17,7 @@ from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.jobs import read_json, refuse_links, refuse_unfinished
 from frictionzoo.core.log import Dataset, Log, pool_origins
-from frictionzoo.core.output import RESULT, to_json, write_atomically
+from frictionzoo.core.output import RESULT, to_json
 from frictionzoo.core.params import Param
 from frictionzoo.data.pairing import describe_columns
 from frictionzoo.fit.link_inertia import LinkInertia
@@ -167,11 +167,6 @@ def pick_metrics(result: types.Result) -> dict[str, float]:
         values = label_values(parameter)
         picked |= {f"identified/{label}": row["value"] for label, row in values.items() if row["identified"]}
     return {name: value for name, value in picked.items() if value is not None}
-
-
-def write_result(path: Path, result: types.Result) -> None:
-    """Write `result.json`; raise OutputError if that fails."""
-    write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
 
 
 def read_run(folder: Path) -> tuple[types.Result, Curves]:

@@ -1,7 +1,6 @@
 """Writing of a run's drive as a card: page, `card.json`, values, model files and a picture."""
 
 import hashlib
-import json
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ import torch
 from frictionzoo import __version__
 from frictionzoo.core.anonymous import find_paths
 from frictionzoo.core.errors import ConfigError, RunError, closest
-from frictionzoo.core.output import take_place, to_json, write_atomically
+from frictionzoo.core.output import take_place, to_json, write_atomically, write_json
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import open_template, write_yaml
 from frictionzoo.report.card import origin
@@ -103,7 +102,7 @@ def _write_files(drive: FittedDrive, folder: Path, options: Mapping[str, str]) -
     card = to_json(build_card(drive, options, hashes))
     refuse_invalid(folder / CARD, card, read_schema())
     write_atomically(folder / PAGE, render_page(card).encode())
-    write_atomically(folder / CARD, (json.dumps(card, indent=2, allow_nan=False) + "\n").encode())
+    write_json(folder / CARD, card)
 
 
 def render_page(card: Card) -> str:

@@ -1,0 +1,170 @@
+"""Commands on finished runs: `python -m frictionzoo.NAME`, NAME `card`, `compare`, `design`, `distill` or `export`."""
+
+import argparse
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from frictionzoo.cli.mistakes import fail, mistakes_in_one_line
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.telling import Parser, say, tell
+
+_HELP = {
+    "card": (
+        "licence=ID",
+        "Write the identified drive of a run as a card: values with intervals, model, conditions, hashes of the "
+        "recordings and held-out errors, as a page and for programs, with MJCF. frictionzoo.load reads it.",
+        """options: licence=ID, required, the card's licence as model hubs name it: cc-by-4.0, apache-2.0; name=TEXT,
+        its title; supply=TEXT, temperature=TEXT, payload=TEXT, conditions of the recording, not stated by default;
+        output=FOLDER, by default card in the run's folder. For a run that evaluated published values: bam=FILE, BAM's
+        parameter file with them, and source=TEXT, who published it and where.""",
+    ),
+    "compare": (
+        "",
+        "Compare runs on the same data and the same rollouts, and write comparison.json, comparison.html, figures and "
+        "a LaTeX table.",
+        None,
+    ),
+    "design": (
+        "limits",
+        "Design the next command to record, with maximal information within limits; verify it in MuJoCo C, and predict "
+        "the accuracy of each parameter. RUN is the folder of a finished run, whose values describe the drive; without "
+        "it, initial values do.",
+        """options: position=REACH or [LOW,HIGH], velocity=, torque=, limits of the drive, in rad, rad/s and N m, or m,
+        m/s and N; home, where it rests; seconds, rate, ramp, period, bandwidth, margin; quantum, position_noise and
+        velocity_noise of the sensors; criterion=determinant or worst, starts, iterations, seed; points and fps of the
+        files for ROS 2 and LeRobot; inputs.NAME=VALUE; output=FOLDER; without RUN also bench=NAME, model=NAME and
+        their options.""",
+    ),
+    "distill": (
+        "model=NAME",
+        "Fit another model to the identified drive of a run under the recorded commands, and print the loss of "
+        "accuracy on held-out recordings.",
+        """options: model=NAME; output=FOLDER, by default distilled/NAME in the run's folder; and fit options of a run,
+        such as fit, model.*, fit.*, segments.*, loop.*, seed. Defaults come from the run, except fit=auto and segments
+        as long as the evaluation rollouts.""",
+    ),
+    "export": (
+        "target=NAME",
+        "Export the identified drive of a run to another program, run the export there, and print its distance from "
+        "the fitted drive and what it cannot represent.",
+        """options: target=NAME or target=all; timestep=SECONDS and integrator=NAME of the simulator (Euler,
+        implicitfast or RK4), by default as in the model file; output=FOLDER, by default export/NAME in the run's
+        folder; and options of the target.""",
+    ),
+}
+"""Help of each command: main option, description, and further options."""
+
+
+def card(arguments: Sequence[str] | None = None) -> None:
+    """Publish a run's drive as a card; `arguments` of every command default to `sys.argv`."""
+    parsed = parse("card", arguments)
+    with _checked([parsed.folder], parsed.options, "licence=cc-by-4.0") as options:
+        from frictionzoo.report.card.write import write_card
+
+        place, warnings = write_card(parsed.folder, options)
+        say("\n".join([*(f"warning: {line}" for line in warnings), f"files: {place}"]))
+
+
+def compare(arguments: Sequence[str] | None = None) -> None:
+    """Compare finished runs."""
+    parsed = parse("compare", arguments)
+    output = parsed.output or (parsed.folders[0] if len(parsed.folders) == 1 else Path()) / "comparison"
+    with mistakes_in_one_line():
+        # Imported late: neither --help nor a mistake waits for torch and JAX.
+        from frictionzoo.core.jobs import find_runs
+
+        for folder in parsed.folders:
+            find_runs(folder)
+        tell("loading torch and JAX")
+        from frictionzoo.api.comparison_files import write_comparison
+        from frictionzoo.report.terminal import summarise_comparison
+
+        say(summarise_comparison(write_comparison(parsed.folders, output), output))
+
+
+def design(arguments: Sequence[str] | None = None) -> None:
+    """Design the next recording, of a run's drive or of the initial values."""
+    parsed = parse("design", arguments)
+    runs = [text for text in parsed.options if "=" not in text]
+    if len(runs) > 1:
+        fail(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
+    with _checked([*map(Path, runs)], [text for text in parsed.options if "=" in text], "velocity=4") as options:
+        from frictionzoo.api.design import design_recording
+        from frictionzoo.core.output import refuse_existing
+        from frictionzoo.report.design_terminal import summarise_excitation
+        from frictionzoo.result.fitted_drive import FittedDrive
+
+        run = FittedDrive.load(Path(runs[0])) if runs else None
+        folder = Path(options.pop("output", Path(*runs) / "excitation"))
+        refuse_existing(folder)  # before the search
+        excitation = design_recording(options, run)
+        excitation.save(folder)
+        say(summarise_excitation(excitation.note, folder))
+
+
+def distill(arguments: Sequence[str] | None = None) -> None:
+    """Fit a simpler model to a run's drive."""
+    parsed = parse("distill", arguments)
+    with _checked([parsed.folder], parsed.options, "model=stribeck") as options:
+        from frictionzoo.cli.student import distill
+
+        distill(parsed.folder, options)
+
+
+def export(arguments: Sequence[str] | None = None) -> None:
+    """Export a run's drive to another program."""
+    parsed = parse("export", arguments)
+    with _checked([parsed.folder], parsed.options, "target=mjcf") as options:
+        from frictionzoo.export.write import summarise_exports, write_exports
+
+        say(summarise_exports(write_exports(parsed.folder, options)))
+
+
+def parse(name: str, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the arguments of a command."""
+    option, description, epilog = _HELP[name]
+    usage = "python -m frictionzoo.design [RUN] KEY=VALUE ..." if name == "design" else None
+    parser = Parser(prog=f"python -m frictionzoo.{name}", usage=usage, description=description, epilog=epilog)
+    if name == "compare":
+        parser.add_argument("folders", metavar="FOLDER", nargs="+", type=Path, help="a run's folder, or a sweep's")
+        default = "comparison/ in the given folder, or here if several are given"
+        parser.add_argument("--output", metavar="FOLDER", type=Path, help=f"output folder; by default {default}")
+        return parser.parse_args(arguments)
+    if name != "design":
+        run = "the folder of a finished run, the teacher" if name == "distill" else "the folder of a finished run"
+        parser.add_argument("folder", metavar="RUN", type=Path, help=run)
+    count = "+" if name == "design" else "*"
+    parser.add_argument("options", metavar="KEY=VALUE", nargs=count, help=f"{option}, and other options")
+    return parser.parse_args(arguments)
+
+
+@contextlib.contextmanager
+def _checked(runs: Sequence[Path], texts: Sequence[str], example: str) -> Iterator[dict[str, str]]:
+    """Read options and refuse unfinished runs before slow imports; a user's mistake gives one line and status 2."""
+    with mistakes_in_one_line():
+        options = read_options(texts, example)
+        # Imported late: neither --help nor a mistake waits for torch and JAX.
+        from frictionzoo.core.jobs import refuse_unfinished
+
+        for run in runs:
+            refuse_unfinished(run)
+        tell("loading torch and JAX")
+        yield options
+
+
+def read_options(texts: Sequence[str], example: str) -> dict[str, str]:
+    """Return the values of KEY=VALUE arguments by key, as text; messages show the `example`.
+
+    Raises:
+        ConfigError: An argument is not KEY=VALUE, or a key is given twice.
+    """
+    options: dict[str, str] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not key or not value:
+            raise ConfigError(f"{text}: expected KEY=VALUE, such as {example}")
+        if key in options:
+            raise ConfigError(f"{text}: {key} is given twice; give it once")
+        options[key] = value
+    return options
