@@ -141,7 +141,9 @@ def foresee(request: dict[str, str], run: Identified, ctrl: np.ndarray) -> dict[
     with computing("float64"):
         task = prepare(Request.read(request, run), run)
         speed = np.gradient(ctrl, task.sensitivity.sampling.interval)
-        half = task.expect(ctrl[:, None], speed[:, None], ctrl[:1])
+        see = task.drive.rollout.compile(lambda *command: task.see(*command, ctrl[:1]).information)
+        segments = task.sensitivity.segments(len(ctrl))
+        half = task.sensitivity.half_widths(see(ctrl[None, :, None], speed[None, :, None]), segments)[0]
         return {name: share for name, (*_, share) in relative(task.sensitivity.space, task.vector, half).items()}
 
 

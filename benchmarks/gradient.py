@@ -106,7 +106,7 @@ class PlainMjx(Engine):
     def __init__(self, case: Case) -> None:
         from mujoco import mjx  # after frictionzoo's import, which keeps it from printing
 
-        self.compiler_options, self.forward_options, self.branches = {}, {}, case.bench.branches
+        self.compiler_options, self.forward_options, self.bench = {}, {}, case.bench
         self._law, self.friction = case.model, friction_of(case.model)
         self._mjx_step = mjx.step
         self._model = mjx.put_model(case.bench.compile(constraint=False))

@@ -25,7 +25,7 @@ class Design(Excitation):
         """
         folder = Path(folder)
         refuse_existing(folder)
-        parts = files_of(self.joints, self.interval, self.motion, self.inputs, self.points, self.fps)
+        parts = files_of(self)
         with claim(folder, "excitation", undone=True):
             for name, content in parts.items():
                 write_atomically(folder / name, content)

@@ -52,7 +52,7 @@ class Search:
             refuse_outside(name, getattr(self, name), low, high)
 
 
-class Found(NamedTuple):
+class Optimum(NamedTuple):
     """Result of the search.
 
     Attributes:
@@ -66,7 +66,7 @@ class Found(NamedTuple):
     first: Float[np.ndarray, "starts"]
 
 
-def design(task: Task, series: Series, limits: Limits, search: Search, reference: Float[np.ndarray, "own"]) -> Found:
+def design(task: Task, series: Series, limits: Limits, search: Search, reference: Float[np.ndarray, "own"]) -> Optimum:
     """Optimise the coefficients of a series with Adam and exact gradients, from several starting points in parallel.
 
     Limits are soft penalties here; `scale_within` enforces them. `series` comes from `Series.shortened`. `reference` is
@@ -85,20 +85,19 @@ def design(task: Task, series: Series, limits: Limits, search: Search, reference
     optimiser = optax.adam(optax.cosine_decay_schedule(_STEP, search.iterations))
     vectors = jnp.asarray(begin / size[:, None, None])
     state = optimiser.init(vectors)
-    history, optima = [], vectors
-    best = jnp.full(len(vectors), jnp.inf)
+    first, best, optima = None, jnp.full(len(vectors), jnp.inf), vectors
     for _ in range(search.iterations):
         (_, (values, _)), gradient = evaluate(vectors, size)
         better = values < best  # False for NaN
         best, optima = jnp.where(better, values, best), jnp.where(better[:, None, None], vectors, optima)
-        history.append(values)
+        first = values if first is None else first
         updates, state = optimiser.update(jnp.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
         vectors = vectors + cast(Array, updates)
-    losses, initial = (np.asarray(value, np.float64) for value in (best, history[0]))
+    losses, initial = (np.asarray(value, np.float64) for value in (best, first))
     if not np.isfinite(losses).any():
         raise ConfigError("no command moves this drive within these limits; raise them, or doubt the bench")
     chosen = int(np.nanargmin(losses))
-    return Found(np.asarray(optima)[chosen] * size[chosen], np.where(np.isfinite(losses), losses, np.nan), initial)
+    return Optimum(np.asarray(optima)[chosen] * size[chosen], np.where(np.isfinite(losses), losses, np.nan), initial)
 
 
 def _draw(series: Series, nv: int, search: Search) -> Float[np.ndarray, "starts nv coefficients"]:
@@ -116,7 +115,8 @@ def _assess(
 
     def total(vectors: Array, size: Array) -> tuple[Array, tuple[Array, Array]]:
         ctrl, speed = series.command(jnp, vectors * size[:, None, None], limits.home)
-        motion, information = task.see(ctrl, speed, limits.home, series.steady)
+        # Of a shortened series only the period after the ramp counts for the information.
+        motion, information = task.see(ctrl, speed, limits.home, 0 if series.ends else series.ramp)
         shares = jnp.moveaxis(motion.shares(jnp, limits), 1, 0).reshape(len(vectors), len(KINDS), -1)
         excess = jnp.maximum(shares - 1, 0)
         penalty = _OVER * excess.max(axis=2).sum(axis=1) + _MEAN * jnp.square(excess).mean(axis=2).sum(axis=1)

@@ -16,7 +16,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
 from frictionzoo.design.design import design, scale_within
 from frictionzoo.design.information import Sensitivity, relative
-from frictionzoo.design.plan import Request, segment_length
+from frictionzoo.design.plan import Request
 from frictionzoo.design.steps import list_steps
 from frictionzoo.design.task import Task
 from frictionzoo.fit import Space
@@ -83,7 +83,7 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Excita
     _refuse_beyond(used, task.bench)
     note = {
         "run": None if run is None else str(Path(run.place).resolve()),
-        "model": task.model.name,
+        "model": task.drive.model.name,
         "joints": list(task.bench.joints),
         "parameters": _list_parameters(task, half, run),
         "limits": _list_limits(task.bench, limits, motion_in_steps, used),
@@ -92,7 +92,7 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Excita
         "search": {**asdict(request.search), "began": optimum.first.tolist(), "ended": optimum.values.tolist()},
         "fit": {"length": sensitivity.length, "weights": list(sensitivity.weights)},
         "next": list_steps(
-            options, None if run is None else run.place, settings, task.bench, task.model, sensitivity.length
+            options, None if run is None else run.place, settings, task.bench, task.drive.model, sensitivity.length
         ),
     }
     inputs = {"ctrl_velocity": speed} | {name: np.tile(value, (len(ctrl), 1)) for name, value in task.constants.items()}
@@ -108,7 +108,11 @@ def prepare(request: Request, run: FittedDrive | None) -> Task:
     """
     settings = request.settings
     bench: Bench = build(settings["bench"], Bench)
-    model = _make_law(bench, settings) if run is None else run.model
+    model = build(settings["model"], FrictionModel, nv=bench.nv) if run is None else run.model
+    if run is None:
+        model.bind(bench.joints)
+        model.begin(bench.initial_friction(model.params))
+        model.double()
     bench = bench.observing(model.inputs)
     if isinstance(model, TorchFriction):
         raise ConfigError(f"{model.name} exists only in torch, with no exact sensitivities; take a law over xp")
@@ -122,28 +126,17 @@ def prepare(request: Request, run: FittedDrive | None) -> Task:
         raise ConfigError("nothing is identified, expected parameters to learn of; set identify=true of some")
     sampling = bench.sampling(interval)
     drive = Drive.assemble(bench, model, settings["engine"], sampling)
-    if not drive.rollout.reverse:
+    if not drive.engine.reverse:
         raise ConfigError(f"engine={drive.engine.name}: no reverse mode for this bench; set engine=specialised")
     weights = float(settings["loss"]["position"]), float(settings["loss"]["velocity"])
-    length = segment_length(settings, interval)
+    length = settings["segments"]["length"]
+    length = max(2, round(0.1 / interval)) if length is None else int(length)  # by default a tenth of a second
     sensitivity = Sensitivity(space, drive.rollout, sampling, length, weights, request.noise)
-    vector = np.asarray(space.start) if run is None else _coordinates(space, run)
-    return Task(bench, model, drive, sensitivity, vector, constants, bench.load(NO_PAYLOAD))
-
-
-def _make_law(bench: Bench, settings: Mapping[str, Any]) -> FrictionModel:
-    model = build(settings["model"], FrictionModel, nv=bench.nv)
-    model.bind(bench.joints)
-    model.begin(bench.initial_friction(model.params))
-    return model.double()
-
-
-def _coordinates(space: Space, run: FittedDrive) -> Float[np.ndarray, "coordinates"]:
-    parts = [np.zeros(0)]
-    for name, place in space.places.items():
-        values = run.parameters[name].value[place.first]
-        parts.append(space.params[name].to_coordinate(values, np))
-    return np.concatenate(parts)
+    vector = np.asarray(space.start)
+    if run is not None:
+        identified = {name: run.parameters[name].value[place.first] for name, place in space.places.items()}
+        vector = np.concatenate([space.params[name].to_coordinate(value, np) for name, value in identified.items()])
+    return Task(bench, drive, sensitivity, vector, constants, bench.load(NO_PAYLOAD))
 
 
 def _known_before(space: Space, run: FittedDrive | None) -> Float[np.ndarray, "coordinates"]:
@@ -225,11 +218,10 @@ def _list_limits(
     bench: Bench, limits: Limits, whole: Motion, used: Float[np.ndarray, "kinds nv"]
 ) -> list[dict[str, Any]]:
     """List a row for each limited quantity and joint: the range reached in MuJoCo C, and the allowed one."""
-    signals = whole.ctrl, whole.speed, whole.qpos, whole.qvel, whole.torque
     ends = {"position": (limits.low, limits.high)}
     ends |= {kind: (-getattr(limits, kind), getattr(limits, kind)) for kind in ("velocity", "torque")}
     rows = []
-    for kind, signal, share in zip(KINDS, signals, used, strict=True):
+    for kind, signal, share in zip(KINDS, whole, used, strict=True):
         quantity = kind.rpartition(" ")[2]
         for joint, name in enumerate(bench.joints):
             reached = [signal[:, joint].min(), signal[:, joint].max()]

@@ -45,11 +45,6 @@ class Noise:
         if not any(vars(self).values()):
             raise ConfigError("position_noise, velocity_noise and quantum are 0: expected noise; state your sensor's")
 
-    @property
-    def variances(self) -> tuple[float, float]:
-        """Variances of a measured position and a measured velocity."""
-        return self.position_noise**2 + self.quantum**2 / 12, self.velocity_noise**2
-
 
 class Sensed(NamedTuple):
     """Positions and velocities at the samples under a command, each of shape (batch, samples, nv), with derivatives.
@@ -118,7 +113,12 @@ class Sensitivity:
         window = begins + np.arange(self.sampling.history + self.length)
         cut = signals.map(lambda signal: jnp.moveaxis(signal[:, window], 1, 0))
         batch, nv = signals.ctrl.shape[0], signals.ctrl.shape[2]
-        seeds = self._seeds(batch, nv, vector.dtype)
+        # Tangent directions: all coordinates, then all initial positions, then all initial velocities.
+        coordinates = len(self.space.start)
+        unit = np.eye(coordinates + 2 * nv)
+        parts = np.split(unit, [coordinates, coordinates + nv], axis=1)
+        vectors, *states = (jnp.asarray(part, vector.dtype) for part in parts)
+        seeds = vectors, *(jnp.broadcast_to(part[:, None], (len(unit), batch, nv)) for part in states)
 
         def segment(state: tuple[Array, Array], driving: Signals) -> tuple[Any, Any]:
             def run(vector: Array, qpos: Array, qvel: Array) -> Array:
@@ -145,15 +145,6 @@ class Sensitivity:
         effect = np.diagonal(np.asarray(information.hessian), axis1=1, axis2=2) > 0
         return np.where(effect, quantile * np.sqrt(np.maximum(variances, 0)), np.nan)
 
-    def _seeds(self, batch: int, nv: int, dtype: Any) -> tuple[Array, Array, Array]:
-        """Return the tangent directions: all coordinates, then all initial positions, then all initial velocities."""
-        count = len(self.space.start)
-        unit = np.eye(count + 2 * nv)
-        parts = unit[:, :count], unit[:, count : count + nv], unit[:, count + nv :]
-        vectors, qpos, qvel = (jnp.asarray(part, dtype) for part in parts)
-        spread = (len(unit), batch, nv)
-        return vectors, jnp.broadcast_to(qpos[:, None], spread), jnp.broadcast_to(qvel[:, None], spread)
-
 
 def inform(
     slopes: Float[Array, "segments tangents batch length nv 2"], weights: tuple[float, float], noise: Noise
@@ -172,7 +163,7 @@ def inform(
     experiment design by information.
     """
     count = slopes.shape[1] - 2 * slopes.shape[4]
-    variances = jnp.asarray(noise.variances)
+    variances = jnp.asarray([noise.position_noise**2 + noise.quantum**2 / 12, noise.velocity_noise**2])
     by_value, by_state = slopes[:, :count], slopes[:, count:]
     weighed = jnp.asarray(weights) * by_value
     hessian = jnp.einsum("sibtjk,shbtjk->bih", weighed, by_value)

@@ -27,7 +27,6 @@ LIMITS = ("position", "velocity", "torque")
 _GROUPS = ("bench", "model", "data", "experiment")
 _OF_A_RUN = ("bench", "model", "scale", "segments.length", "loss.position", "loss.velocity", "engine", "device")
 _INPUTS = "inputs."
-_LENGTH = 0.1  # default length of segments [s]
 _KINDS = {float: "a number", int: "a whole number", str: "a name"}
 
 
@@ -143,12 +142,6 @@ def _settle(options: Mapping[str, str], run: FittedDrive | None) -> dict[str, An
     if run is None and "segments.length" not in options:
         settings["segments"]["length"] = None
     return {**settings, "model": complete_laws(settings["model"], settings)}
-
-
-def segment_length(settings: Mapping[str, Any], interval: float) -> int:
-    """Return the sample intervals in a segment of the planned fit; by default they span a tenth of a second."""
-    length = settings["segments"]["length"]
-    return max(2, round(_LENGTH / interval)) if length is None else int(length)
 
 
 def _take(part: type[Part], options: dict[str, str]) -> Part:

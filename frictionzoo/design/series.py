@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.data.signals import Signal
@@ -67,11 +67,6 @@ class Series:
         count = self.ramp + self.period + 1
         return self if self.samples < count + self.period else replace(self, samples=count, ends=False)
 
-    @property
-    def steady(self) -> int:
-        """First sample that counts for the information."""
-        return 0 if self.ends else self.ramp
-
     @cached_property
     def window(self) -> Signal:
         """Factor w at each sample."""
@@ -86,17 +81,13 @@ class Series:
         size = 1 / (2 * np.pi * np.maximum(self.frequencies, _SLOWEST))[:, None]
         return np.concatenate([size * np.cos(angle), size * np.sin(angle)])
 
-    @cached_property
-    def place(self) -> Int[np.ndarray, "samples"]:
-        """Index of each sample in its period."""
-        return np.arange(self.samples) % self.period
-
     def command(
         self, xp: Any, coefficients: Float[Any, "... nv coefficients"], home: Float[np.ndarray, "nv"]
     ) -> tuple[Any, Any]:
         """Return position [rad or m] and velocity [rad/s or m/s] of the command, of shape (..., samples, nv)."""
         one_period = coefficients @ xp.asarray(self.basis)
-        moved = xp.moveaxis(one_period, -1, -2)[..., self.place, :] * self.window[:, None]
+        in_period = np.arange(self.samples) % self.period
+        moved = xp.moveaxis(one_period, -1, -2)[..., in_period, :] * self.window[:, None]
         step = self.interval
         inner = (moved[..., 2:, :] - moved[..., :-2, :]) / (2 * step)
         at_rest = xp.zeros_like(moved[..., :1, :])  # at rest at both ends

@@ -13,7 +13,6 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_joint import ByJoint
 
 _RECORDED = "'data.train=[a.csv]' 'data.test=[b.csv]'"
-_OF_THE_DRIVE = ("bench", "scale")
 
 
 def list_steps(
@@ -68,7 +67,7 @@ def _differ(wanted: Mapping[str, Any], bench: str) -> list[str]:
 
 
 def _list_leaves(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    return list_options({name: settings[name] for name in _OF_THE_DRIVE})
+    return list_options({name: settings[name] for name in ("bench", "scale")})
 
 
 def _write(value: Any) -> str:

@@ -13,7 +13,6 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.limits import Motion
 from frictionzoo.core.state import Signals
 from frictionzoo.design.information import Information, Sensitivity, inform
-from frictionzoo.models import FrictionModel
 from frictionzoo.simulation.drive import Drive
 from frictionzoo.simulation.proof import Cases, simulate_in_c
 from frictionzoo.simulation.rollout import applied, make_observer
@@ -37,7 +36,6 @@ class Task:
     """
 
     bench: Bench
-    model: FrictionModel
     drive: Drive
     sensitivity: Sensitivity
     vector: Float[np.ndarray, "coordinates"]
@@ -77,20 +75,8 @@ class Task:
         observe = make_observer(self.drive.engine, self.sensitivity.sampling)
         torque = observe(self.sensitivity.space.values(vector), qpos, qvel, signals, load).motor_torque
         motion = Motion(ctrl[:, :-1], speed[:, :-1], qpos, qvel, torque)
-        return Seen(
-            motion,
-            inform(
-                sensed.slopes[-(-steady // self.sensitivity.length) :], self.sensitivity.weights, self.sensitivity.noise
-            ),
-        )
-
-    def expect(
-        self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray
-    ) -> Float[np.ndarray, "coordinates"]:
-        """Return half of each expected interval for a recording of one command, in the optimiser's coordinates."""
-        see = self.drive.rollout.compile(lambda ctrl, speed: self.see(ctrl, speed, home).information)
-        segments = self.sensitivity.segments(len(ctrl))
-        return self.sensitivity.half_widths(see(ctrl[None], speed[None]), segments)[0]
+        slopes = sensed.slopes[-(-steady // self.sensitivity.length) :]
+        return Seen(motion, inform(slopes, self.sensitivity.weights, self.sensitivity.noise))
 
     def see_in_c(
         self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray
@@ -101,7 +87,7 @@ class Task:
         acting = applied(jax.tree.map(jnp.asarray, values), signals.map(jnp.asarray), sampling)
         steps = acting.map(lambda signal: np.asarray(signal, np.float64).reshape(1, -1, self.bench.nv))
         start = Cases(home[None], np.zeros((1, self.bench.nv)), steps, self.load[None])
-        qpos, qvel, torque = simulate_in_c(self.bench, self.model, values, start)[:, 0]
+        qpos, qvel, torque = simulate_in_c(self.bench, self.drive.model, values, start)[:, 0]
         ctrl_in_steps, speed_in_steps = (np.repeat(signal[:-1], sampling.substeps, axis=0) for signal in (ctrl, speed))
         sampled = [
             np.concatenate([initial, later])[:: sampling.substeps]

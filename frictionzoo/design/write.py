@@ -4,7 +4,6 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -12,8 +11,7 @@ from jaxtyping import Float
 from frictionzoo.bench.limits import Motion
 from frictionzoo.core.templates import write_yaml
 from frictionzoo.data.signals import Signal
-
-_DIGITS = "%.10g"
+from frictionzoo.design.excitation import Excitation
 
 
 def table(joints: Sequence[str], time: Signal, signals: Mapping[str, Float[np.ndarray, "samples nv"]]) -> bytes:
@@ -22,7 +20,7 @@ def table(joints: Sequence[str], time: Signal, signals: Mapping[str, Float[np.nd
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerow(["time", *headers])
     columns = np.concatenate([time[:, None], *signals.values()], axis=1)
-    np.savetxt(buffer, columns, fmt=_DIGITS, delimiter=",")
+    np.savetxt(buffer, columns, fmt="%.10g", delimiter=",")
     return buffer.getvalue().encode()
 
 
@@ -54,21 +52,16 @@ def actions(joints: Sequence[str], time: Signal, motion: Motion, fps: float) -> 
     return f'{{"fps": {fps:g}, "actions": [\n{lines}\n]}}\n'.encode()
 
 
-def files_of(
-    joints: Sequence[str], interval: float, motion: Motion, given: Mapping[str, Any], points: float, fps: float
-) -> dict[str, bytes]:
-    """Write all files of a command; return their content by name.
-
-    `interval` is in s; `given` are further commands of the actuator model, of shape (samples, nv); `points` and `fps`
-    are per second.
-    """
-    time = interval * np.arange(len(motion.ctrl))
-    command = {"ctrl": motion.ctrl, **given}
+def files_of(designed: Excitation) -> dict[str, bytes]:
+    """Write all files of a command; return their content by name."""
+    joints, motion = designed.joints, designed.motion
+    time = designed.interval * np.arange(len(motion.ctrl))
+    command = {"ctrl": motion.ctrl, **designed.inputs}
     return {
         "command.csv": table(joints, time, command),
         "expected.csv": table(joints, time, {"qpos": motion.qpos, "qvel": motion.qvel, **command}),
-        "trajectory.yaml": trajectory(joints, time, motion, 1 / points),
-        "actions.json": actions(joints, time, motion, fps),
+        "trajectory.yaml": trajectory(joints, time, motion, 1 / designed.points),
+        "actions.json": actions(joints, time, motion, designed.fps),
     }
 
 

@@ -297,12 +297,13 @@ class Objective:
         """
         if isinstance(self._rollout, TorchRollout):
             return self._value_and_grad_in_torch(self._rollout, derivative)
-        if derivative == "reverse" and not self._rollout.reverse:
+        if derivative == "reverse" and not self._rollout.engine.reverse:
             raise ConfigError(
                 "fit.derivative=reverse: engine=mjx solves the constraints of several joints in a loop, which reverse "
                 "mode cannot pass; set fit.derivative=forward or engine=specialised"
             )
-        few = len(self.space.start) <= self._rollout.forward_limit or not self._rollout.reverse
+        engine = self._rollout.engine
+        few = len(self.space.start) <= engine.forward_limit or not engine.reverse
         reverse = derivative == "reverse" or (derivative == "auto" and not few)
 
         def of_block(vector: Array, part: tuple[Blocks, Array, Array]) -> tuple[Array, Array]:
@@ -327,7 +328,7 @@ class Objective:
                 f"fit.derivative=forward: {rollout.law} exists only in torch, which has reverse mode only; set "
                 "fit.derivative=reverse or auto"
             )
-        if not rollout.reverse:
+        if not rollout.engine.reverse:
             raise ConfigError(
                 f"{rollout.law} exists only in torch and needs reverse mode, which engine=mjx lacks for "
                 "the constraints of several joints; set engine=specialised"

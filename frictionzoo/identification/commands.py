@@ -210,7 +210,7 @@ def _excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str,
         refuse_unholdable(problem.bench, values, inputs, Limits.read(problem.bench.nv, **limits))
     except ConfigError:
         return False
-    return problem.drive.rollout.reverse
+    return problem.drive.engine.reverse
 
 
 def _usual(problem: Problem) -> dict[str, Float[np.ndarray, "nv"]]:

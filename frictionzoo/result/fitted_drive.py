@@ -18,6 +18,7 @@ from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit.posterior import Fitted
 from frictionzoo.models import FrictionModel
+from frictionzoo.models.formula import as_numpy, torch_values
 from frictionzoo.result.band import Band, predict_band
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves
@@ -80,7 +81,6 @@ class FittedDrive:
         settings = result["settings"]
         bench, model = build_drive(folder, settings)
         state = load_law(model, folder / LAW)
-        friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}
         segments = read_segments(folder / CURVES, curves, result["data"]["timestep"], bench)
         sampling = bench.sampling(segments.timestep)
         if sampling.history != segments.history:
@@ -88,7 +88,7 @@ class FittedDrive:
                 f"{folder / CURVES}: {segments.history} samples of ctrl before the rollouts, expected "
                 f"{sampling.history} by the delay's bounds; run it again"
             )
-        values = {"bench": read_bench(result, bench), "friction": friction}
+        values = {"bench": read_bench(result, bench), "friction": as_numpy(torch_values(model))}
         return cls(folder, result, bench, model, state, values, segments, sampling, curves)
 
     @property

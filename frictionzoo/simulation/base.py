@@ -56,7 +56,6 @@ class Engine(ABC):
         compiler_options: XLA options for compiling a step with a reverse sweep.
         forward_options: XLA options for compiling a step without one.
         forward_limit: Largest number of parameters for which forward mode is faster than reverse mode.
-        branches: Number of each joint's branch, from 0; joints of different branches do not move each other.
         reverse: Whether the step has a reverse mode. JAX has none for a solver that iterates until convergence.
         keeps_slopes: Whether a step's derivative consists of few numbers, which a rollout can keep for later tangents.
     """
@@ -68,7 +67,6 @@ class Engine(ABC):
     forward_limit: ClassVar[int]
     reverse: bool = True
     keeps_slopes: bool = False
-    branches: tuple[int, ...]
     bench: Bench
     friction: Friction
 
@@ -81,7 +79,6 @@ class Engine(ABC):
         signals: Signals,
         load: Float[Array, "load"],
         memory: Float[Array, "nv memory"],
-        rigid: bool = False,
         midway: Float[Array, "nv"] | None = None,
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """Simulate one time step.
@@ -92,21 +89,14 @@ class Engine(ABC):
             qvel: Velocity [rad/s or m/s].
             signals: Recorded signals other than the state, each of shape (nv,).
             load: Effect of the payload on the bench's MuJoCo model, from `Bench.load`.
-            memory: The friction model's memory, from `start` or the previous step.
-            rigid: Whether dry friction follows `rigid_step` instead of MuJoCo's constraint, if nothing else is
-                constrained.
-            midway: Expected velocity in the middle of the step, for the links' Coriolis and centrifugal forces [rad/s
-                or m/s]; None: the velocity before the step, as in MuJoCo.
+            memory: The friction model's memory, from `Friction.settle` or the previous step.
+            midway: Expected velocity in the middle of a step of second order, for the links' Coriolis and centrifugal
+                forces [rad/s or m/s]. Dry friction at MuJoCo's stiffness limit then stands for friction that does not
+                creep: it follows `rigid_step`, if nothing else is constrained. None: a step as in MuJoCo.
 
         Returns:
             Position, velocity and memory after the step.
         """
-
-    def start(
-        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array
-    ) -> Float[Array, "nv memory"]:
-        """Return the friction model's memory at the start of a rollout; arguments as in `step`."""
-        return self.friction.settle(values["friction"], self.drive_state(values, qpos, qvel, signals, load))
 
     @abstractmethod
     def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:

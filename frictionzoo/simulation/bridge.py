@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -66,44 +67,44 @@ def as_torch_function(
     It computes in x64 if one of the tensors is float64, else as JAX is configured. Second derivatives are not
     available. The outputs lie on the device of the first tensor; integer and boolean ones carry no gradient.
     """
-    operation = _Operation(function, dict(compiler_options or {}))
+    options = dict(compiler_options or {})
+    linearise = jax.jit(partial(_linearise, function), static_argnums=(0, 1), compiler_options=options)
+    pull_back = jax.jit(lambda pull, cotangents: pull(cotangents), compiler_options=options)
 
     def torch_function(*arguments: Any) -> Any:
         leaves, structure = jax.tree.flatten(arguments)
-        call = _Call(operation, leaves, structure)
+        call = _Call(linearise, pull_back, leaves, structure)
         outputs = _Bridged.apply(call, *(leaf for leaf in leaves if isinstance(leaf, torch.Tensor)))
         return jax.tree.unflatten(call.output_structure, outputs)
 
     return torch_function
 
 
-class _Operation:
-    """JAX function over leaves, compiled once for each structure of its arguments and choice of moving leaves."""
+def _linearise(
+    function: Callable[..., Any], structure: Any, moving: tuple[int, ...], leaves: list[Any]
+) -> tuple[Any, Any]:
+    """Return the outputs, and a function that pulls cotangents of floating-point ones back to the moving leaves."""
 
-    def __init__(self, function: Callable[..., Any], compiler_options: dict[str, Any]) -> None:
-        self._function = function
-        self.linearise = jax.jit(self._linearise, static_argnums=(0, 1), compiler_options=compiler_options)
-        self.pull_back = jax.jit(lambda pull, cotangents: pull(cotangents), compiler_options=compiler_options)
+    def of_moving(*moved: Any) -> tuple[list[Any], Any]:
+        replaced = list(leaves)
+        for index, leaf in zip(moving, moved, strict=True):
+            replaced[index] = leaf
+        outputs = function(*jax.tree.unflatten(structure, replaced))
+        return [leaf for leaf in jax.tree.leaves(outputs) if _is_floating(leaf)], outputs
 
-    def _linearise(self, structure: Any, moving: tuple[int, ...], leaves: list[Any]) -> tuple[Any, Any]:
-        """Return the outputs, and a function that pulls cotangents of floating-point ones back to the moving leaves."""
-
-        def of_moving(*moved: Any) -> tuple[list[Any], Any]:
-            replaced = list(leaves)
-            for index, leaf in zip(moving, moved, strict=True):
-                replaced[index] = leaf
-            outputs = self._function(*jax.tree.unflatten(structure, replaced))
-            return [leaf for leaf in jax.tree.leaves(outputs) if _is_floating(leaf)], outputs
-
-        _, pull, outputs = jax.vjp(of_moving, *(leaves[index] for index in moving), has_aux=True)
-        return outputs, pull
+    _, pull, outputs = jax.vjp(of_moving, *(leaves[index] for index in moving), has_aux=True)
+    return outputs, pull
 
 
 @dataclass
 class _Call:
-    """One call: the input that autograd passes through unchanged, and the structure of the outputs."""
+    """One call: the input that autograd passes through unchanged, and the structure of the outputs.
 
-    operation: _Operation
+    `linearise` is compiled once for each structure of the arguments and choice of moving leaves.
+    """
+
+    linearise: Callable[..., Any]
+    pull_back: Callable[..., Any]
     leaves: list[Any]
     structure: Any
     output_structure: Any = None
@@ -115,13 +116,13 @@ class _Bridged(torch.autograd.Function):
         needed = iter(ctx.needs_input_grad[1:])
         are_tensors = [isinstance(leaf, torch.Tensor) for leaf in call.leaves]
         moving = tuple(index for index, is_tensor in enumerate(are_tensors) if is_tensor and next(needed))
-        ctx.operation = call.operation
+        ctx.pull_back = call.pull_back
         ctx.devices = [tensor.device for tensor in tensors]
         # Stored, because the setting is local to a thread and backward may run in another.
         ctx.x64 = _x64() or any(tensor.dtype == torch.float64 for tensor in tensors)
         with jax.enable_x64(ctx.x64):
             leaves = [_to_array(leaf) if isinstance(leaf, torch.Tensor) else leaf for leaf in call.leaves]
-            outputs, ctx.pull = call.operation.linearise(call.structure, moving, leaves)
+            outputs, ctx.pull = call.linearise(call.structure, moving, leaves)
         arrays, call.output_structure = jax.tree.flatten(outputs)
         ctx.floating = [_is_floating(array) for array in arrays]
         results = tuple(_to_tensor(array, tensors[0].device) for array in arrays)
@@ -135,7 +136,7 @@ class _Bridged(torch.autograd.Function):
     ) -> tuple[torch.Tensor | None, ...]:
         with jax.enable_x64(ctx.x64):
             floating = [_to_array(c) for c, kept in zip(cotangents, ctx.floating, strict=True) if kept]
-            pulled = iter(ctx.operation.pull_back(ctx.pull, floating))
+            pulled = iter(ctx.pull_back(ctx.pull, floating))
         needed = zip(ctx.needs_input_grad[1:], ctx.devices, strict=True)
         return (None, *(_to_tensor(next(pulled), device) if need else None for need, device in needed))
 

@@ -25,8 +25,20 @@ def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool 
     """
     if choice not in _CHOICES:
         raise ConfigError(f"engine={choice}: no such engine; {closest(choice, _CHOICES)}")
+    joints = max(bench.branches.count(number) for number in bench.branches)
+    coupled = "" if joints == bench.nv else " that move each other"
+    reason = f"{joints} joints{coupled} are more than the {_MEASURED_JOINTS} that were measured"
     with naming_what_mjx_lacks(bench):
-        return _make_engine(choice, bench, friction, constraint)
+        if choice == "mjx":
+            return MjxEngine(bench, friction, constraint)
+        if choice == "specialised" or joints <= _MEASURED_JOINTS:
+            try:
+                return SpecialisedEngine(bench, friction, constraint)
+            except CannotSpecialiseError as error:
+                reason = f"{bench.source} has {error}"
+        if choice == "specialised":
+            raise ConfigError(f"engine=specialised: {reason}; set engine=auto or engine=mjx")
+        return MjxEngine(bench, friction, constraint, note=f"specialised does not apply: {reason}")
 
 
 @contextlib.contextmanager
@@ -44,21 +56,3 @@ def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
             f"{bench.source}: MJX, in which it is simulated, does not take it ({reason[:200]}); leave that out of the "
             "MJCF"
         ) from error
-
-
-def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
-    if choice == "mjx":
-        return MjxEngine(bench, friction, constraint)
-    joints = max(bench.branches.count(number) for number in bench.branches)
-    coupled = "" if joints == bench.nv else " that move each other"
-    reason = f"{joints} joints{coupled} are more than the {_MEASURED_JOINTS} that were measured"
-    if choice == "specialised" or joints <= _MEASURED_JOINTS:
-        try:
-            return SpecialisedEngine(bench, friction, constraint)
-        except CannotSpecialiseError as error:
-            reason = f"{bench.source} has {error}"
-    if choice == "specialised":
-        raise ConfigError(f"engine=specialised: {reason}; set engine=auto or engine=mjx")
-    engine = MjxEngine(bench, friction, constraint)
-    engine.note = f"specialised does not apply: {reason}"
-    return engine

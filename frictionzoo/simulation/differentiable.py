@@ -23,8 +23,6 @@ from frictionzoo.simulation.context import refuse_late_fork
 from frictionzoo.simulation.drive import Drive
 from frictionzoo.simulation.torch_rollout import TorchRollout
 
-_KEPT = 16  # compiled drives in this process
-
 Array = Tensor | np.ndarray
 """Tensor, NumPy array, or another object that NumPy reads as an array."""
 
@@ -83,7 +81,8 @@ def rollout(
     qpos, qvel, ctrl = (tensors.pop(name) for name in ("qpos", "qvel", "ctrl"))
     precision = qpos.dtype, bool(jax.config.read("jax_enable_x64"))
     # Before the values are read, because it may change the model's dtype.
-    bench, function, reverse, history = _compile(bench, law, engine, interval, precision)
+    drive, function, history = _compile(bench, law, engine, interval, precision)
+    bench = drive.engine.bench
     values = _values(bench, law, parameters or {}, qpos)
     further = {name.removeprefix("signals."): tensor for name, tensor in tensors.items()}
     driving = _name(bench, law, qpos, qvel, ctrl, further)
@@ -93,7 +92,8 @@ def rollout(
         driving = driving.map(lambda signal: torch.cat([signal[:, :1].expand(-1, history, -1), signal], dim=1))
     load = torch.as_tensor(bench.load(payload or NO_PAYLOAD)).to(qpos).expand(len(qpos), -1)
     arguments = values, qpos, qvel, driving, load
-    if not reverse and torch.is_grad_enabled() and any(leaf.requires_grad for leaf in jax.tree.leaves(arguments)):
+    differentiated = torch.is_grad_enabled() and any(leaf.requires_grad for leaf in jax.tree.leaves(arguments))
+    if differentiated and not drive.engine.reverse:
         raise ConfigError(
             f"{bench.source}: engine={engine} has no gradient of this bench, whose solver iterates; expected a rollout "
             "under torch.no_grad(), or a bench without limits, contacts and equalities"
@@ -101,20 +101,19 @@ def rollout(
     return function(*arguments)
 
 
-@lru_cache(_KEPT)
+@lru_cache(16)  # drives in this process
 def _compile(
     bench: Bench, law: FrictionModel, engine: str, interval: float, precision: tuple[torch.dtype, bool]
 ) -> tuple:
-    """Return the bench with the model's signals, the function, whether it has a gradient, and its history samples."""
+    """Return the drive with the bench that observes the model's signals, the function, and its history samples."""
     # Each precision has a separate drive (it is a key of the cache), because engines keep their traces.
     bench = bench.observing(law.inputs)
     bench.check_interval(interval, "interval")
     sampling = bench.sampling(interval)
     drive = Drive.assemble(bench, law, engine, sampling)
-    rollouts = drive.rollout
-    if isinstance(rollouts, TorchRollout):
-        return bench, rollouts.in_torch, rollouts.reverse, sampling.history
-    return bench, as_torch_function(rollouts.function, rollouts.compiler_options), rollouts.reverse, sampling.history
+    if isinstance(drive.rollout, TorchRollout):
+        return drive, drive.rollout.in_torch, sampling.history
+    return drive, as_torch_function(drive.rollout.function, drive.engine.compiler_options), sampling.history
 
 
 def _refuse_others(bench: Any, law: Any, parameters: Any, signals: Any, payload: Any, engine: Any) -> None:
@@ -191,17 +190,16 @@ def _name(
     batch, time = len(qpos), ctrl.shape[1]
     for name in signals.keys() - set(bench.inputs):
         raise BenchError(f"signals.{name}: neither law looks at it; {closest(str(name), bench.inputs)}")
-    shapes = {"qpos": (batch, bench.nv), "qvel": (batch, bench.nv)}
     parts = {"ctrl": ctrl}
     defaults = {**bench.actuator.optional_inputs, **law.inputs}
     for name in bench.inputs:
         if name not in signals and name not in defaults:
             raise BenchError(f"signals.{name}: missing, and the bench's actuator needs it; give it in each sample")
         parts[name] = signals[name] if name in signals else torch.full_like(ctrl, defaults[name])
-    shapes |= dict.fromkeys(parts, (batch, time, bench.nv))
     for name, tensor in {"qpos": qpos, "qvel": qvel, **parts}.items():
-        if tuple(tensor.shape) != shapes[name]:
-            raise BenchError(f"{name} has shape {tuple(tensor.shape)}, expected {shapes[name]}")
+        shape = (batch, time, bench.nv) if name in parts else (batch, bench.nv)
+        if tuple(tensor.shape) != shape:
+            raise BenchError(f"{name} has shape {tuple(tensor.shape)}, expected {shape}")
     collected = Signals(
         parts["ctrl"], {n: parts[n] for n in bench.actuator.inputs}, {n: parts[n] for n in bench.observed}
     )

@@ -10,8 +10,9 @@ from frictionzoo.core.errors import BenchError
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 from frictionzoo.models import FrictionModel, TorchFriction
+from frictionzoo.models.formula import torch_values
 from frictionzoo.simulation import Engine, friction_of, make_engine
-from frictionzoo.simulation.rollout import Rollout, make_rollout
+from frictionzoo.simulation.rollout import EACH_STEP, Rollout, make_rollout
 from frictionzoo.simulation.torch_rollout import AS_GIVEN, make_torch_rollout
 
 
@@ -28,7 +29,7 @@ class Drive:
     rollout: Rollout
 
     @classmethod
-    def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling | None = None) -> "Drive":
+    def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling = EACH_STEP) -> "Drive":
         """Assemble the drive of this bench and model with the engine of this name.
 
         Raises:
@@ -41,9 +42,8 @@ class Drive:
             simulated = make_engine(engine, bench, AS_GIVEN, model.constrained)
             return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
         simulated = make_engine(engine, bench, friction_of(model), model.constrained)
-        if any(simulated.branches) and not looks_at_one_joint(model):
-            simulated.branches = (0,) * bench.nv
-        return cls(model, simulated, make_rollout(simulated, sampling))
+        coupled = any(bench.branches) and not looks_at_one_joint(model)
+        return cls(model, simulated, make_rollout(simulated, sampling, coupled))
 
 
 def refuse_other_joints(model: FrictionModel, bench: Bench) -> None:
@@ -54,7 +54,7 @@ def refuse_other_joints(model: FrictionModel, bench: Bench) -> None:
 
 def looks_at_one_joint(model: FrictionModel) -> bool:
     """Return whether a joint's friction depends on that joint alone, tested on states that differ in some joints."""
-    rng, values = np.random.default_rng(0), {n: v.detach().double() for n, v in model.state_dict().items()}
+    rng, values = np.random.default_rng(0), torch_values(model)
     one, other = (torch.from_numpy(rng.normal(size=(len(DriveState._fields), 64, model.nv))) for _ in range(2))
     mask = torch.from_numpy(rng.random((64, model.nv)) < 0.5)
 

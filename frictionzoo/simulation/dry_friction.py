@@ -56,15 +56,12 @@ def dry_friction(
         return jnp.where(limit == 0, 0.0, jnp.clip(holding, -limit, limit))
     problem = (inertia, force, softness, reference, limit)
     sliding = _find_sliding(*jax.lax.stop_gradient(problem))
-    return _force(_accelerations(*problem, sliding), *problem[2:], sliding)
+    acceleration = _accelerations(*problem, sliding)
+    return jnp.where(sliding == 0, softness * (reference - acceleration), -sliding * limit)
 
 
 def rigid_step(
-    inertia: Rows,
-    force: Float[Array, "nv"],
-    qvel: Float[Array, "nv"],
-    timestep: float,
-    limit: Float[Array, "nv"],
+    inertia: Rows, force: Float[Array, "nv"], qvel: Float[Array, "nv"], timestep: float, limit: Float[Array, "nv"]
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
     """Compute a step with Coulomb friction that does not creep.
 
@@ -109,10 +106,6 @@ def _accelerations(
     stiff = jnp.where(holds, softness, 0.0)
     pushed = force + stiff * reference - jnp.where(holds, 0.0, (sliding if mean is None else mean) * limit)
     return solve_rows(add_diagonal(inertia, stiff), pushed)
-
-
-def _force(acceleration: Array, softness: Array, reference: Array, limit: Array, sliding: Array) -> Array:
-    return jnp.where(sliding == 0, softness * (reference - acceleration), -sliding * limit)
 
 
 def _pieces(pull: Array, limit: Array) -> Float[Array, "nv"]:

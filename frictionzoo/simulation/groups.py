@@ -19,7 +19,7 @@ from frictionzoo.simulation import tree
 from frictionzoo.simulation.base import Values, without_memory
 from frictionzoo.simulation.fold import Specialised, specialise
 from frictionzoo.simulation.linear import FEW_JOINTS, Rows, add_diagonal
-from frictionzoo.simulation.mjx import Acting, MjxEngine, ModelInputs
+from frictionzoo.simulation.mjx import Acting, MjxEngine, ModelInputs, inertial_fields
 
 
 class Dynamics(NamedTuple):
@@ -60,11 +60,6 @@ class Group(NamedTuple):
     acting: Specialised
     rigid: Specialised
 
-    @property
-    def operations(self) -> int:
-        """Number of scalar operations for one branch."""
-        return self.acting.operations + self.rigid.operations
-
     def dynamics(self, values: Values, load: Array, qpos: Array, qvel: Array, midway: Array, ctrl: Array) -> Dynamics:
         """Return the branches' dynamics, stacked, from `Engine.step`'s arguments and MuJoCo's ctrl, for all joints."""
         bench_values = {name: value[self.joints] for name, value in values["bench"].items()}
@@ -82,14 +77,7 @@ class Group(NamedTuple):
         return jax.tree.map(lambda part: part[None], result)
 
     def _of_branch(
-        self,
-        known: Mapping[str, Any],
-        load: Array,
-        links: Array,
-        qpos: Array,
-        qvel: Array,
-        midway: Array,
-        ctrl: Array,
+        self, known: Mapping[str, Any], load: Array, links: Array, qpos: Array, qvel: Array, midway: Array, ctrl: Array
     ) -> Dynamics:
         acting: Acting = self.acting(self.inputs({"bench": known}, load), qpos, qvel, ctrl)
         # No parameter changes the links' properties, so they need no derivative.
@@ -114,23 +102,23 @@ def groups_of(bench: Bench, constrainable: bool) -> list[Group]:
         links = None if bench.payload is not None else np.zeros((1, 0))
         return [Group(np.arange(bench.nv)[None], None, links, *_specialised(bench, [], constrainable, ()))]
     joints = [np.flatnonzero(numbers == number) for number in range(numbers.max() + 1)]
-    parts = [bench.only(members.tolist()) for members in joints]
-    models = {members[0]: part.compile(constraint=False) for members, part in zip(joints, parts, strict=True)}
+    parts = {members[0]: bench.only(members.tolist()) for members in joints}
+    models = {first: part.compile(constraint=False) for first, part in parts.items()}
     groups = []
     for alike in group_alike(joints, list(models.values())):
-        example = next(part for members, part in zip(joints, parts, strict=True) if members[0] == alike.joints[0, 0])
         members = [models[members[0]] for members in alike.joints]
         rigid = np.array([rigid_inertia(model).ravel() for model in members])
         load = np.concatenate([alike.links, rigid], axis=1) if alike.fields else rigid[:, :0]
         rows = np.array([tree.flatten(_links(model)) for model in members])
         differ = np.flatnonzero((rows != rows[0]).any(axis=0))
-        functions = _specialised(example, differ.tolist(), constrainable, alike.fields)
+        functions = _specialised(parts[alike.joints[0, 0]], differ.tolist(), constrainable, alike.fields)
         groups.append(Group(alike.joints, load, rows[:, differ], *functions))
     return groups
 
 
 _known: dict[str, tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]] = {}
 """Functions specialised in this process, for a job that simulates its bench with several models."""
+_MOST_KNOWN = 64
 
 
 def _specialised(
@@ -148,6 +136,8 @@ def _specialised(
             load = np.zeros(len(fields) + bench.nv**2) if fields else bench.load(NO_PAYLOAD)
             inputs = jax.eval_shape(reference.model_inputs, values, jnp.asarray(load))
             acting = specialise(reference.acting, inputs, *[np.zeros(bench.nv)] * 3)
+            if len(_known) >= _MOST_KNOWN:
+                _known.pop(next(iter(_known)))  # the oldest
             _known[key] = reference.model_inputs, acting, _specialise_rigid(bench, differ)
     return _known[key]
 
@@ -179,10 +169,8 @@ def _links(model: mujoco.MjModel) -> list[tree.Link]:
 
 
 def _with_inertial(model: mujoco.MjModel, body: int, inertial: Float[Array, "11"]) -> Any:
-    """Return the model fields for `links_of`, with one body's values traced: first entries of a load."""
+    """Return the model fields for `links_of`, with one body's values traced."""
     fields = {name: getattr(model, name) for name in tree.FIELDS}
-    mass, place, turn, inertia = jnp.split(inertial, [1, 4, 8])
-    changes = {"body_mass": mass[0], "body_ipos": place, "body_iquat": turn, "body_inertia": inertia}
-    for name, value in changes.items():
+    for name, value in inertial_fields(inertial).items():
         fields[name] = [value if index == body else entry for index, entry in enumerate(fields[name])]
     return SimpleNamespace(**fields)

@@ -1,7 +1,7 @@
 """Linear algebra of a few joints, entry by entry, to run over any batch without LAPACK; many joints use LAPACK."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,15 +28,15 @@ def rows_of(matrix: Float[Array, "nv nv"]) -> Rows:
 @jax.custom_jvp
 def solve_rows(rows: Rows, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
     """Solve the system of a matrix given by rows; the derivative uses the same factors: dx = A^-1 (db - dA x)."""
-    return _substitute(_factorise(rows), right)
+    return _factorise(rows)(right)
 
 
 @solve_rows.defjvp
 def _solve_tangent(given: tuple, tangents: tuple) -> tuple[Array, Array]:
     (rows, right), (by_rows, by_right) = given, tangents
-    factors = _factorise(rows)
-    solution = _substitute(factors, right)
-    return solution, _substitute(factors, by_right - multiply(by_rows, solution))
+    solve = _factorise(rows)
+    solution = solve(right)
+    return solution, solve(by_right - multiply(by_rows, solution))
 
 
 def add_diagonal(rows: Rows, diagonal: Float[Array, "nv"]) -> Rows:
@@ -52,25 +52,12 @@ def multiply(rows: Rows, vector: Float[Array, "nv"]) -> Float[Array, "nv"]:
     return jnp.stack([_dot([rows[max(i, j)][min(i, j)] for j in size], list(vector)) for i in size])
 
 
-class _Few(NamedTuple):
-    """Factors of a small matrix, entry by entry: L below its diagonal of ones, and the inverse of D."""
-
-    lower: list[list[Array]]
-    inverse: list[Array]
-
-
-class _Many(NamedTuple):
-    matrix: Float[Array, "nv nv"]
-    inverse: Float[Array, "nv nv"]
-
-
-def _factorise(rows: Rows) -> _Few | _Many:
+def _factorise(rows: Rows) -> Callable[[Array], Array]:
+    """Return a function that solves the matrix's system for a right side."""
     if len(rows) > FEW_JOINTS:
-        matrix = _matrix(rows)
-        root = solve_triangular(jnp.linalg.cholesky(matrix), jnp.eye(len(rows), dtype=matrix.dtype), lower=True)
-        return _Many(matrix, jnp.matmul(root.T, root, precision="highest"))
-    lower: list[list[Array]] = []
-    inverse: list[Array] = []
+        return _factorise_many(_matrix(rows))
+    lower: list[list[Array]] = []  # L below its diagonal of ones
+    inverse: list[Array] = []  # of D
     for i, entries in enumerate(rows):
         row: list[Array] = []
         for j in range(i):
@@ -78,22 +65,30 @@ def _factorise(rows: Rows) -> _Few | _Many:
         scaled = [entry * inverse[j] for j, entry in enumerate(row)]
         inverse.append(1 / (entries[i] - _dot(row, scaled)))
         lower.append(scaled)
-    return _Few(lower, inverse)
+
+    def solve(right: Array) -> Array:
+        solution: list[Array] = []
+        for i, row in enumerate(lower):
+            solution.append(right[i] - _dot(row, solution[:i]))
+        solution = [entry * factor for entry, factor in zip(solution, inverse, strict=True)]
+        for i in reversed(range(len(solution))):
+            solution[i] = solution[i] - _dot([row[i] for row in lower[i + 1 :]], solution[i + 1 :])
+        return jnp.stack(solution)
+
+    return solve
 
 
-def _substitute(factors: _Few | _Many, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
-    if isinstance(factors, _Many):
-        estimate = jnp.matmul(factors.inverse, right, precision="highest")
+def _factorise_many(matrix: Float[Array, "nv nv"]) -> Callable[[Array], Array]:
+    root = solve_triangular(jnp.linalg.cholesky(matrix), jnp.eye(len(matrix), dtype=matrix.dtype), lower=True)
+    inverse = jnp.matmul(root.T, root, precision="highest")
+
+    def solve(right: Array) -> Array:
+        estimate = jnp.matmul(inverse, right, precision="highest")
         # Refine with the residual: a product with the inverse alone rounds more than substitution.
-        residual = right - jnp.matmul(factors.matrix, estimate, precision="highest")
-        return estimate + jnp.matmul(factors.inverse, residual, precision="highest")
-    solution: list[Array] = []
-    for i, row in enumerate(factors.lower):
-        solution.append(right[i] - _dot(row, solution[:i]))
-    solution = [entry * factor for entry, factor in zip(solution, factors.inverse, strict=True)]
-    for i in reversed(range(len(solution))):
-        solution[i] = solution[i] - _dot([row[i] for row in factors.lower[i + 1 :]], solution[i + 1 :])
-    return jnp.stack(solution)
+        residual = right - jnp.matmul(matrix, estimate, precision="highest")
+        return estimate + jnp.matmul(inverse, residual, precision="highest")
+
+    return solve
 
 
 def _matrix(rows: Rows) -> Float[Array, "nv nv"]:

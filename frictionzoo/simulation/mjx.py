@@ -79,6 +79,7 @@ class MjxEngine(Engine):
         constraint: Whether the model returns a `frictionloss`, or for which joints; it is 0 for the others.
         fields: Field and place of each link property that differs between similar branches. The load holds their values
             in front of the joint-space inertia.
+        note: As in `Engine`.
     """
 
     name = "mjx"
@@ -90,6 +91,7 @@ class MjxEngine(Engine):
         friction: Friction,
         constraint: bool | Sequence[bool],
         fields: Sequence[tuple[str, int]] = (),
+        note: str = "",
     ) -> None:
         model = bench.compile(constraint)
         # One Newton iteration is exact for one joint, and lets MJX avoid a while loop, which has no reverse mode.
@@ -100,7 +102,7 @@ class MjxEngine(Engine):
         self.forward_options: Mapping[str, Any] = FORWARD if fused else UNFUSED
         self.bench = bench
         self._fields = fields
-        self.branches = bench.branches
+        self.note = note
         self.friction = friction
         self._timestep = float(model.opt.timestep)
         self._rigid_inertia = rigid_inertia(model)
@@ -115,15 +117,7 @@ class MjxEngine(Engine):
         self.reverse: bool = not self._constraint or model.opt.iterations == 1
 
     def step(
-        self,
-        values: Values,
-        qpos: Array,
-        qvel: Array,
-        signals: Signals,
-        load: Array,
-        memory: Array,
-        rigid: bool = False,
-        midway: Array | None = None,
+        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array, midway: Any = None
     ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
         ctrl = control(self.bench, values, qpos, qvel, signals)
@@ -134,7 +128,7 @@ class MjxEngine(Engine):
         terms, memory = self.friction.advance(values["friction"], state, memory, self._timestep)
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
-        if rigid and self._rubs_alone:
+        if midway is not None and self.bench.is_stiff and self._rubs_alone:
             inertia = rows_of(mjx.full_m(model, data) + self._implicit(model, data))
             limit = model.dof_frictionloss
             acceleration, shift = rigid_step(inertia, data.qfrc_smooth, qvel, self._timestep, limit)
@@ -203,21 +197,12 @@ class MjxEngine(Engine):
             actuator_gainprm=self._model.actuator_gainprm.at[:, 0].set(inputs.actuator[:, 0]),
             actuator_biasprm=self._model.actuator_biasprm.at[:, :3].set(inputs.actuator[:, 1:]),
         )
-        if len(inputs.body_invweight0):
-            model = model.replace(body_invweight0=inputs.body_invweight0)
-        if len(inputs.tendon_invweight0):
-            model = model.replace(tendon_invweight0=inputs.tendon_invweight0)
+        fields = ("body_invweight0", inputs.body_invweight0), ("tendon_invweight0", inputs.tendon_invweight0)
+        model = model.replace(**{name: value for name, value in (*fields, ("qpos0", inputs.reference)) if len(value)})
         if self.bench.payload is not None:
-            mass, position, orientation, inertia = jnp.split(inputs.inertial, [1, 4, 8])
+            changes = inertial_fields(inputs.inertial)
             body = self.bench.payload
-            model = model.replace(
-                body_mass=model.body_mass.at[body].set(mass[0]),
-                body_ipos=model.body_ipos.at[body].set(position),
-                body_iquat=model.body_iquat.at[body].set(orientation),
-                body_inertia=model.body_inertia.at[body].set(inertia),
-            )
-        if len(inputs.reference):
-            model = model.replace(qpos0=inputs.reference)
+            model = model.replace(**{name: getattr(model, name).at[body].set(v) for name, v in changes.items()})
         for name in dict.fromkeys(name for name, _ in self._fields):
             array = getattr(model, name)
             entries = list(array.ravel())
@@ -242,6 +227,12 @@ class MjxEngine(Engine):
         return model, data
 
 
+def inertial_fields(inertial: Float[Array, "11"]) -> dict[str, Array]:
+    """Return the first entries of a load as fields of one body."""
+    mass, position, orientation, inertia = jnp.split(inertial, [1, 4, 8])
+    return {"body_mass": mass[0], "body_ipos": position, "body_iquat": orientation, "body_inertia": inertia}
+
+
 def _jacobians(model: mujoco.MjModel) -> tuple[Float[np.ndarray, "bodies 2 3 nv"], Float[np.ndarray, "tendons 1 nv"]]:
     """Return the Jacobians of bodies' centres of mass and of tendons at the reference position."""
     data = mujoco.MjData(model)
@@ -262,9 +253,5 @@ def _jacobians(model: mujoco.MjModel) -> tuple[Float[np.ndarray, "bodies 2 3 nv"
 
 
 def _drive_state(data: mjx.Data, signals: Signals) -> DriveState:
-    torques = data.qfrc_actuator, _external_torque(data)
-    return DriveState(data.qpos, data.qvel, signals.ctrl, *torques, **signals.observed)
-
-
-def _external_torque(data: mjx.Data) -> Array:
-    return data.qfrc_passive + data.qfrc_applied - data.qfrc_bias
+    external = data.qfrc_passive + data.qfrc_applied - data.qfrc_bias
+    return DriveState(data.qpos, data.qvel, signals.ctrl, data.qfrc_actuator, external, **signals.observed)

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -16,7 +16,8 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.errors import BenchError, FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.core.state import DriveState, Signals
-from frictionzoo.models import FrictionModel
+from frictionzoo.models import FrictionModel, TorchFriction
+from frictionzoo.models.formula import as_numpy, torch_state, torch_values
 from frictionzoo.simulation import Values
 from frictionzoo.simulation.choose import naming_what_mjx_lacks
 from frictionzoo.simulation.drive import Drive
@@ -75,8 +76,7 @@ class Proof:
 
 def initial_values(bench: Bench, model: FrictionModel) -> Values:
     """Return the initial values of an identification, by owner and name, as numpy arrays."""
-    friction = {name: value.detach().double().numpy() for name, value in model.state_dict().items()}
-    return {"bench": bench.initial_values(), "friction": friction}
+    return {"bench": bench.initial_values(), "friction": as_numpy(torch_values(model))}
 
 
 def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recorded: Recorded) -> Proof:
@@ -158,7 +158,9 @@ def _in_engine(
 ) -> Float[np.ndarray, "values 2 cases steps nv"]:
     with jax.enable_x64(True), naming_what_mjx_lacks(bench):
         rollout = Drive.assemble(bench, copy.deepcopy(model), engine).rollout
-        simulate = replace(rollout, forward_options={**rollout.forward_options, **_ONCE}).compiled
+        options = {**rollout.engine.forward_options, **_ONCE}
+        in_torch = isinstance(model, TorchFriction)
+        simulate = rollout if in_torch else jax.jit(rollout.function, compiler_options=options)
         trials = [jax.tree.map(lambda value: np.asarray(value, np.float64), _without_delay(trial)) for trial in values]
         return np.stack([[np.asarray(part) for part in simulate(trial, *cases)] for trial in trials])
 
@@ -175,7 +177,8 @@ def simulate_in_c(
     values = _without_delay(values)
     text = bench.mjcf(values["bench"], np.array(model.constrained, float) if model.constraint else None)
     compiled = mujoco.MjModel.from_xml_string(text)
-    damping, law = compiled.dof_damping.copy(), _Law(model, values["friction"], float(compiled.opt.timestep))
+    damping, timestep, memory = compiled.dof_damping.copy(), float(compiled.opt.timestep), None
+    friction = {name: torch.tensor(np.asarray(value, np.float64)) for name, value in values["friction"].items()}
     worlds = [_World(bench, compiled, *case) for case in zip(cases.qpos, cases.qvel, cases.load, strict=True)]
     results = np.empty((3, *cases.signals.ctrl.shape))
     for step in range(cases.signals.ctrl.shape[1]):
@@ -184,7 +187,11 @@ def simulate_in_c(
         control = bench.actuator.control(np, values["bench"], qpos, qvel, signals.ctrl, signals.inputs)
         torques = zip(*(world.drive(ctrl, damping) for world, ctrl in zip(worlds, control, strict=True)), strict=True)
         motor, external = map(np.array, torques)
-        terms = law(DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed))
+        state = torch_state(DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed))
+        with torch.no_grad():
+            memory = model.settle(torch, friction, state) if memory is None else memory
+            torch_terms, memory = model.advance(torch, friction, state, memory, timestep)
+        terms = [None if term is None else np.broadcast_to(term.numpy(), qvel.shape) for term in torch_terms]
         for index, world in enumerate(worlds):
             world.step(damping, *(None if term is None else term[index] for term in terms))
             results[:, index, step] = world.data.qpos, world.data.qvel, motor[index]
@@ -194,25 +201,6 @@ def simulate_in_c(
 def _without_delay(values: Values) -> dict[str, Mapping[str, Any]]:
     """Remove the delay: commands act at once here, and delays are verified elsewhere."""
     return {**values, "bench": {name: value for name, value in values["bench"].items() if name != "delay"}}
-
-
-class _Law:
-    """Friction model in torch with the memory of each case."""
-
-    def __init__(self, model: FrictionModel, values: Mapping[str, Any], timestep: float) -> None:
-        self._model = model
-        self._values = {name: torch.tensor(np.asarray(value, np.float64)) for name, value in values.items()}
-        self._memory: Any = None
-        self._timestep = timestep
-
-    def __call__(self, state: DriveState) -> tuple[np.ndarray | None, ...]:
-        tensors = state.map(lambda signal: torch.tensor(signal, dtype=torch.float64))
-        with torch.no_grad():
-            if self._memory is None:
-                self._memory = self._model.settle(torch, self._values, tensors)
-            terms, self._memory = self._model.advance(torch, self._values, tensors, self._memory, self._timestep)
-        shape = state.qvel.shape
-        return tuple(None if term is None else np.broadcast_to(term.numpy(), shape) for term in terms)
 
 
 class _World:

@@ -1,6 +1,6 @@
 """Many open-loop rollouts at once: predicted states of segments."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -15,6 +15,8 @@ from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.simulation import Engine, Values
 from frictionzoo.simulation.second_order import SecondOrder
 
+EACH_STEP = Sampling(0.0, 1, 0)
+"""Each simulation step is a sample, and there is no delay."""
 State = tuple[Array, Array, Array, Array]
 """Position, velocity, the friction model's memory, and in second order the previous velocity; one row a segment."""
 
@@ -28,14 +30,12 @@ class Rollout:
     returns qpos and qvel after each sample interval, of shape (batch, time, nv). A diverging rollout contains
     non-finite values.
 
-    `function` is the rollout, not compiled; the other attributes are as in `Engine`.
+    `function` is the rollout, not compiled. `branches` has each joint's branch, from 0; joints of different branches do
+    not move each other. `keeps_slopes` is as in `Engine`.
     """
 
     function: Callable[..., tuple[Any, Any]]
-    compiler_options: Mapping[str, Any]
-    forward_options: Mapping[str, Any]
-    forward_limit: int
-    reverse: bool
+    engine: Engine
     branches: tuple[int, ...]
     keeps_slopes: bool
 
@@ -50,16 +50,16 @@ class Rollout:
 
     def compile(self, function: Callable[..., Any], forward: bool = False) -> Any:
         """Apply `jax.jit` to a function that calls this rollout; `forward` if it has no reverse sweep."""
-        return jax.jit(function, compiler_options=dict(self.forward_options if forward else self.compiler_options))
+        engine = self.engine
+        return jax.jit(function, compiler_options=dict(engine.forward_options if forward else engine.compiler_options))
 
 
-def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
-    """Make the rollouts of an engine; without `sampling`, each step is a sample and there is no delay.
+def make_rollout(engine: Engine, sampling: Sampling = EACH_STEP, coupled: bool = False) -> Rollout:
+    """Make the rollouts of an engine; `coupled` if the friction of a joint depends on other joints.
 
     Steps carry only position, velocity and the friction model's memory, so reverse mode stores little. The memory
     begins as if each segment's first state had lasted.
     """
-    sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
     second = SecondOrder(engine.bench, engine.friction) if sampling.second_order else None
 
     def step_one(values: Values, state: State, now: Signals, load: Array) -> State:
@@ -67,10 +67,13 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         if second is None:
             return *engine.step(values, qpos, qvel, now, load, memory), before
         adapted, midway = second.adapt(values, qpos, qvel, now, memory), qvel + (qvel - before) / 2
-        return *engine.step(adapted, qpos, qvel, now, load, memory, second.rigid, midway), qvel
+        return *engine.step(adapted, qpos, qvel, now, load, memory, midway), qvel
+
+    def begin(values: Values, *state: Any) -> Array:
+        return engine.friction.settle(values["friction"], engine.drive_state(values, *state))
 
     batched = jax.vmap(step_one, in_axes=(None, 0, 0, 0))
-    started = jax.vmap(engine.start, in_axes=(None, 0, 0, 0, 0))
+    started = jax.vmap(begin, in_axes=(None, 0, 0, 0, 0))
 
     def rollout(
         values: Values,
@@ -98,8 +101,8 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         _, (positions, velocities) = jax.lax.scan(advance, start, acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
-    options = engine.compiler_options, engine.forward_options
-    return Rollout(rollout, *options, engine.forward_limit, engine.reverse, engine.branches, engine.keeps_slopes)
+    branches = (0,) * engine.bench.nv if coupled else engine.bench.branches
+    return Rollout(rollout, engine, branches, engine.keeps_slopes)
 
 
 def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:

@@ -8,7 +8,7 @@ import mujoco
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.core.state import DriveState, FrictionTerms, Signals
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.simulation.base import Friction, Values, control
 
 _MOST = 0.5  # largest reduction of an armature, as a share of it: it stays positive
@@ -25,9 +25,6 @@ class SecondOrder:
 
     Source: E. Hairer, C. Lubich, G. Wanner, "Geometric numerical integration illustrated by the Stoermer-Verlet
     method", Acta Numerica 12, 2003, section 1.
-
-    Attributes:
-        rigid: Whether dry friction at MuJoCo's stiffness limit stands for friction that does not creep.
     """
 
     def __init__(self, bench: Bench, friction: Friction) -> None:
@@ -35,7 +32,6 @@ class SecondOrder:
         damper = not options.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER
         euler = options.integrator == mujoco.mjtIntegrator.mjINT_EULER
         implicit = not options.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else True
-        self.rigid: bool = bench.is_stiff
         self._half = float(options.timestep) / 2
         self._damping_sign = (-1.0 if implicit else 1.0) * damper
         self._actuator_sign = 1.0 if euler else -1.0
@@ -83,11 +79,8 @@ class SecondOrder:
                 explicit = explicit + terms.torque
             if terms.frictionloss is not None:
                 explicit = explicit + jnp.sign(qvel) * terms.frictionloss
-            return jnp.broadcast_to(explicit, qvel.shape), _damping(terms, qvel)
+            damping = jnp.zeros_like(qvel) if terms.damping is None else terms.damping
+            return jnp.broadcast_to(explicit, qvel.shape), jnp.broadcast_to(damping, qvel.shape)
 
         (_, damping), (explicit, _) = jax.jvp(brake, (qvel,), (ones,))
         return explicit - self._actuator_sign * affine.bias2 + self._damping_sign * (damping + self._bench.own_damping)
-
-
-def _damping(terms: FrictionTerms, qvel: Array) -> Array:
-    return jnp.zeros_like(qvel) if terms.damping is None else jnp.broadcast_to(terms.damping, qvel.shape)

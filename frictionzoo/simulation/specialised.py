@@ -50,8 +50,10 @@ class SpecialisedEngine(Engine):
         model = bench.compile(constraint)
         _refuse_other_constraints(model)
         self._groups = groups_of(bench, not model.opt.disableflags & NO_FRICTION_CONSTRAINT)
-        self.branches = bench.branches
-        operations = (f"{len(part.joints)} x {part.operations}".removeprefix("1 x ") for part in self._groups)
+        operations = (
+            f"{len(part.joints)} x {part.acting.operations + part.rigid.operations}".removeprefix("1 x ")
+            for part in self._groups
+        )
         self.note: str = f"the dynamics come down to {' + '.join(operations)} scalar operations"
         self._order = np.argsort(np.concatenate([group.joints.ravel() for group in self._groups]))
         self.bench = bench
@@ -68,22 +70,14 @@ class SpecialisedEngine(Engine):
         self.keeps_slopes: bool = bench.nv > 1 and joints <= FEW_JOINTS  # for one joint, one program compiles faster
 
     def step(
-        self,
-        values: Values,
-        qpos: Array,
-        qvel: Array,
-        signals: Signals,
-        load: Array,
-        memory: Array,
-        rigid: bool = False,
-        midway: Array | None = None,
+        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array, midway: Any = None
     ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
         dynamics = self._at(values, qpos, qvel, signals, load, midway)
         state = self._drive_state(qpos, qvel, signals, dynamics)
         terms, memory = self.friction.advance(values["friction"], state, memory, self._timestep)
         terms = FrictionTerms(*(term if term is None else jnp.broadcast_to(term, qvel.shape) for term in terms))
-        accelerate = partial(self._accelerate, rigid)
+        accelerate = partial(self._accelerate, midway is not None and self.bench.is_stiff)
         steps = [
             group.each(accelerate, branches, qvel[group.joints], jax.tree.map(operator.itemgetter(group.joints), terms))
             for group, branches in zip(self._groups, dynamics, strict=True)

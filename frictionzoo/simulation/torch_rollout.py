@@ -40,7 +40,7 @@ class TorchRollout(Rollout):
         return self.function
 
 
-def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling | None = None) -> TorchRollout:
+def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling) -> TorchRollout:
     """Make the rollouts of an engine with a friction model in torch.
 
     A step of all segments is compiled once. The model's input, its terms and the next state cross between JAX and torch
@@ -57,7 +57,6 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
             "FrictionModel"
         )
     model.double()
-    sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
     if sampling.second_order:
         raise ConfigError(
             f"bench.second_order=true: {label} exists only in torch, in which rollouts are of first order; set "
@@ -89,8 +88,7 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
         with torch.no_grad():
             return to_arrays(in_torch(*to_tensors((values, qpos, qvel, signals, load))))
 
-    options = engine.compiler_options, engine.forward_options
-    return TorchRollout(in_arrays, *options, 0, engine.reverse, engine.branches, False, in_torch, label)
+    return TorchRollout(in_arrays, engine, engine.bench.branches, False, in_torch, label)
 
 
 def _acting(sampling: Sampling, bench: Mapping[str, Any], signals: Signals) -> Signals:

@@ -81,7 +81,9 @@ def links_of(xp: ModuleType, model: Any) -> list[Link]:
             centre = pose.place + pose.turn @ model.body_ipos[body]
             axes = pose.turn @ _rotation(xp, model.body_iquat[body])
             about_centre = (axes * model.body_inertia[body]) @ axes.T
-            links[carrier] = _with_mass(xp, links[carrier], model.body_mass[body], centre, about_centre)
+            mass = model.body_mass[body]
+            moment, inertia = mass * centre, about_centre + mass * _spread(xp, centre, centre)
+            links[carrier] = _added(links[carrier], mass, moment, inertia)
     return links
 
 
@@ -103,8 +105,7 @@ def regroup(xp: ModuleType, links: Sequence[Link]) -> list[Link]:
         links[index] = link._replace(mass=0.0, moment=link.moment - along, inertia=link.inertia - rod)
         if link.parent >= 0:
             fixed = Pose(link.turn, link.place)
-            carried = _carried(xp, fixed, link.mass, along, rod)
-            links[link.parent] = _added(links[link.parent], *carried)
+            links[link.parent] = _carrying(xp, links[link.parent], fixed, link.mass, along, rod)
     return links
 
 
@@ -192,8 +193,8 @@ def joint_inertia(links: Sequence[Link], at: Sequence[Pose]) -> Rows:
     for joint in reversed(range(len(links))):
         link, pose = bodies[joint], at[joint]
         if link.parent >= 0:
-            moved = _carried(jnp, pose, link.mass, link.moment, link.inertia)
-            bodies[link.parent] = _added(bodies[link.parent], *moved)
+            parent = bodies[link.parent]
+            bodies[link.parent] = _carrying(jnp, parent, pose, link.mass, link.moment, link.inertia)
         if link.slides:
             force, torque = link.mass * link.axis, jnp.cross(link.moment, link.axis)
         else:
@@ -206,20 +207,16 @@ def joint_inertia(links: Sequence[Link], at: Sequence[Pose]) -> Rows:
     return tuple(tuple(entries.get((i, j), np.zeros(())) for j in range(i + 1)) for i in range(len(links)))
 
 
-def _with_mass(xp: ModuleType, link: Link, mass: Any, centre: Any, about_centre: Any) -> Link:
-    return _added(link, mass, mass * centre, about_centre + mass * _spread(xp, centre, centre))
-
-
 def _added(link: Link, mass: Any, moment: Any, inertia: Any) -> Link:
     return link._replace(mass=link.mass + mass, moment=link.moment + moment, inertia=link.inertia + inertia)
 
 
-def _carried(xp: ModuleType, pose: Pose, mass: Any, moment: Any, inertia: Any) -> tuple[Any, Any, Any]:
-    """Move mass, moment and inertia of a link to the parent's origin and axes."""
+def _carrying(xp: ModuleType, parent: Link, pose: Pose, mass: Any, moment: Any, inertia: Any) -> Link:
+    """Add mass, moment and inertia of a link to its parent, moved to the parent's origin and axes."""
     turned = pose.turn @ moment
     mixed = _spread(xp, pose.place, turned)
     about = pose.turn @ inertia @ pose.turn.T + mixed + mixed.T + mass * _spread(xp, pose.place, pose.place)
-    return mass, turned + mass * pose.place, about
+    return _added(parent, mass, turned + mass * pose.place, about)
 
 
 def _carry(pose: Pose, force: Any, torque: Any) -> tuple[Any, Any]:

@@ -10,6 +10,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import Signals
+from frictionzoo.models.formula import as_numpy, torch_values
 from frictionzoo.report.card.portable import build_parts, place_settings
 from frictionzoo.report.card.record import CARD, CARD_VERSION, MODEL, read_schema
 from frictionzoo.report.card.types import Card
@@ -44,7 +45,7 @@ def read_card(folder: Path) -> FittedDrive:
     state = put_law(model, parts["friction"], path)
     values = {
         "bench": {name: value.double().numpy() for name, value in parts["bench"].items()},
-        "friction": {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()},
+        "friction": as_numpy(torch_values(model)),
     }
     params = {"bench": bench.params, "friction": model.params}
     _refuse_others(path, result, values, params, bench)

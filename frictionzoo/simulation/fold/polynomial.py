@@ -24,7 +24,7 @@ class Expander(Simplifier):
 
     def __init__(self) -> None:
         super().__init__()
-        self._plain = Simplifier()  # separate, so that its products stay apart from the expanded ones
+        self.plain = Simplifier()  # separate, so that its products stay apart from the expanded ones
         self._lowered: dict[int, Any] = {}
 
     def make(self, name: str, *entries: Any) -> Any:
@@ -51,21 +51,16 @@ class Expander(Simplifier):
             finished[index] = self._lower(entry)
         return finished
 
-    @property
-    def plain(self) -> Simplifier:
-        """See `Simplifier.plain`."""
-        return self._plain
-
     def _lower(self, entry: Any) -> Any:
         if not isinstance(entry, Expression):
             return entry
         if entry.serial not in self._lowered:
             if entry.operation == "input":
-                lowered = self._plain.input(entry.arguments)
+                lowered = self.plain.input(entry.arguments)
             elif entry.operation == "polynomial":
                 lowered = self._nest(dict(entry.arguments))
             else:
-                lowered = self._plain.make(entry.operation, *map(self._lower, entry.arguments))
+                lowered = self.plain.make(entry.operation, *map(self._lower, entry.arguments))
             self._lowered[entry.serial] = lowered
         return self._lowered[entry.serial]
 
@@ -86,8 +81,8 @@ class Expander(Simplifier):
                 inside[monomial] = coefficient
             else:
                 outside[monomial] = coefficient
-        product = self._plain.make("mul", self._lower(factor), self._nest(inside))
-        return self._plain.make("add", product, self._nest(outside)) if outside else product
+        product = self.plain.make("mul", self._lower(factor), self._nest(inside))
+        return self.plain.make("add", product, self._nest(outside)) if outside else product
 
     def _products(self, left: Mapping[Monomial, float], right: Mapping[Monomial, float]) -> list:
         return [

@@ -26,10 +26,6 @@ def _broadcast(array: np.ndarray, shape: Sequence[Any], dimensions: Sequence[Any
     return np.broadcast_to(_spread(array, len(shape), dimensions), shape)
 
 
-def _select(simplifier: Simplifier, predicate: np.ndarray, cases: Sequence[np.ndarray]) -> np.ndarray:
-    return as_entries(np.frompyfunc(simplifier.choose, 1 + len(cases), 1)(predicate, *cases))
-
-
 def _reduce(simplifier: Simplifier, name: str, array: np.ndarray, axes: Sequence[Any], start: Any) -> np.ndarray:
     kept = [size for axis, size in enumerate(array.shape) if axis not in axes]
     count = math.prod(array.shape[axis] for axis in axes)
@@ -78,11 +74,6 @@ def _pad(array: np.ndarray, filling: np.ndarray, config: Sequence[Any]) -> np.nd
     padded = np.full([low + size + high for (low, high, _), size in zip(config, array.shape, strict=True)], filling)
     padded[tuple(slice(low, low + size) for (low, _, _), size in zip(config, array.shape, strict=True))] = array
     return padded
-
-
-def _slice(array: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
-    strides = params["strides"] or [1] * array.ndim
-    return array[tuple(map(slice, params["start_indices"], params["limit_indices"], strides))]
 
 
 def _dynamic_slice(array: np.ndarray, starts: Sequence[np.ndarray], sizes: Sequence[Any]) -> tuple[slice, ...]:
@@ -167,7 +158,7 @@ PRIMITIVES: Mapping[str, Callable[[Simplifier, list[np.ndarray], Mapping[str, An
     "integer_pow": lambda simplifier, x, p: _power(simplifier, x[0], p["y"]),
     "convert_element_type": lambda _, x, p: x[0] if x[0].dtype == object else x[0].astype(p["new_dtype"]),
     **dict.fromkeys(("stop_gradient", "copy", "copy_p"), lambda _, x, __: x[0]),
-    "select_n": lambda simplifier, x, _: _select(simplifier, x[0], x[1:]),
+    "select_n": lambda simplifier, x, _: as_entries(np.frompyfunc(simplifier.choose, len(x), 1)(*x)),
     "clamp": lambda simplifier, x, _: simplifier.elementwise("min", simplifier.elementwise("max", x[1], x[0]), x[2]),
     "broadcast_in_dim": lambda _, x, p: _broadcast(x[0], p["shape"], p["broadcast_dimensions"]),
     "reshape": lambda _, x, p: x[0].reshape(p["new_sizes"]),
@@ -182,7 +173,9 @@ PRIMITIVES: Mapping[str, Callable[[Simplifier, list[np.ndarray], Mapping[str, An
     "stack": lambda _, x, p: np.stack(_common(x), p["axis"]),
     "tile": lambda _, x, p: np.tile(x[0], p["reps"]),
     "pad": lambda _, x, p: _pad(x[0], x[1], p["padding_config"]),
-    "slice": lambda _, x, p: _slice(x[0], p),
+    "slice": lambda _, x, p: x[0][
+        tuple(map(slice, p["start_indices"], p["limit_indices"], p["strides"] or [1] * x[0].ndim))
+    ],
     "dynamic_slice": lambda _, x, p: x[0][_dynamic_slice(x[0], x[1:], p["slice_sizes"])],
     "dynamic_update_slice": lambda _, x, __: _update_slice(*x),
     "gather": lambda _, x, p: _gather(x[0], x[1], p),

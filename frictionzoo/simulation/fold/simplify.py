@@ -12,9 +12,14 @@ _COMMUTATIVE = {"add", "mul", "max", "min", "eq", "ne", "and", "or"}
 
 
 class Simplifier:
-    """Maker of expressions that makes equal ones only once."""
+    """Maker of expressions that makes equal ones only once.
+
+    Attributes:
+        plain: Simplifier for new expressions of finished ones.
+    """
 
     def __init__(self) -> None:
+        self.plain: Simplifier = self
         self._known: dict[tuple[Any, ...], Expression] = {}
         self._made = itertools.count()
 
@@ -32,11 +37,6 @@ class Simplifier:
     def finish(self, output: np.ndarray) -> np.ndarray:
         """Return an output's entries in the operations of `OPERATIONS`."""
         return np.asarray(output, object)
-
-    @property
-    def plain(self) -> "Simplifier":
-        """Simplifier for new expressions of finished ones."""
-        return self
 
     def elementwise(self, name: str, *operands: Any) -> np.ndarray:
         """Apply an operation to arrays of numbers or entries."""

@@ -10,14 +10,16 @@ from jax.extend import core as jax_core
 from jax.interpreters import partial_eval
 from jaxtyping import Array
 
-from frictionzoo.simulation.fold.expression import OPERATIONS, CannotSpecialiseError, Expression
+from frictionzoo.simulation.fold.expression import OPERATIONS, CannotSpecialiseError, Expression, is_number
 from frictionzoo.simulation.fold.polynomial import Expander
 from frictionzoo.simulation.fold.primitives import PRIMITIVES
 from frictionzoo.simulation.fold.simplify import Simplifier
-from frictionzoo.simulation.fold.slopes import Slopes, slopes_of
 
 _WORTH_EXPANDING = 700  # largest number of operations for which multiplying out is tried: one or two joints
 _WRAPPERS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"}
+
+Slopes = dict[tuple[Any, ...], Any]
+"""Derivatives of an entry that are not 0, by argument and index of the entry they are with respect to."""
 
 
 class Specialised:
@@ -112,13 +114,49 @@ def specialise(function: Callable[..., Any], *examples: Any, moving: Sequence[in
                 return Specialised(outputs, structure)
             order = _sorted_by_dependence([entry for output in outputs for entry in output.ravel()])
             places = [len(jax.tree.leaves(examples[:number])) for number in moving]
-            return Specialised(outputs, structure, slopes_of(simplifier.plain, order, places))
+            return Specialised(outputs, structure, _slopes_of(simplifier.plain, order, places))
 
         plain = fold(Simplifier())
         if plain.operations > _WORTH_EXPANDING:
             return plain
         expanded = fold(Expander())
     return min(plain, expanded, key=lambda candidate: candidate.operations)
+
+
+def _slopes_of(simplifier: Simplifier, order: Sequence[Expression], moving: Sequence[int]) -> dict[int, Slopes]:
+    """Return the slopes of every expression, by identity, with respect to the entries of the arguments `moving`.
+
+    `order` has each expression after its arguments; `simplifier` made them. CannotSpecialiseError for an operation
+    without a rule here.
+    """
+    by_expression: dict[int, Slopes] = {}
+    for expression in order:
+        if expression.operation == "input":
+            by_expression[id(expression)] = {expression.arguments: 1.0} if expression.arguments[0] in moving else {}
+            continue
+        inner = [by_expression[id(entry)] if isinstance(entry, Expression) else {} for entry in expression.arguments]
+        slopes: Slopes = {}
+        if any(inner):
+            if expression.operation not in _RULES:
+                raise CannotSpecialiseError(f"a derivative of {expression.operation}")
+            factors = _RULES[expression.operation](simplifier.make, expression.arguments)
+            for factor, argument_slopes in zip(factors, inner, strict=True):
+                for place, slope in argument_slopes.items():
+                    term = simplifier.make("mul", factor, slope)
+                    slopes[place] = simplifier.make("add", slopes[place], term) if place in slopes else term
+        by_expression[id(expression)] = {place: slope for place, slope in slopes.items() if not is_number(slope, 0.0)}
+    return by_expression
+
+
+_RULES: Mapping[str, Callable[[Callable[..., Any], Sequence[Any]], Sequence[Any]]] = {
+    "add": lambda make, x: (1.0, 1.0),
+    "sub": lambda make, x: (1.0, -1.0),
+    "mul": lambda make, x: (x[1], x[0]),
+    "neg": lambda make, x: (-1.0,),
+    "sin": lambda make, x: (make("cos", x[0]),),
+    "cos": lambda make, x: (make("neg", make("sin", x[0])),),
+}
+"""Derivative of an operation with respect to each of its arguments."""
 
 
 def _sorted_by_dependence(entries: Sequence[Any]) -> list[Expression]:
