@@ -15,9 +15,9 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.delay import write_delay
-from frictionzoo.bench.sections import put_options
-from frictionzoo.bench.signals import pair_log, pick_inputs, pick_observed, say_lacking
-from frictionzoo.bench.template import INTEGRATORS, Template, in_full
+from frictionzoo.bench.sections import DEFAULTS, PARAMS, put_options
+from frictionzoo.bench.signals import pair_log, pick_inputs, pick_signals, refuse_columns, say_lacking
+from frictionzoo.bench.template import INTEGRATORS, Joints, Template, in_full, read_solreffriction
 from frictionzoo.core.build import build
 from frictionzoo.core.described import Described, describe
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
@@ -26,25 +26,8 @@ from frictionzoo.core.params import AUTO, LARGEST, Param, group_joints, read_par
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
-_TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
-_ENDLESS = 0.1 * LARGEST  # N m or N; a torque range beyond it at both ends is unlimited
-_MOST_SUBSTEPS = 10_000  # simulation steps per sample
-_MOST_HISTORY = 10_000  # longest delay of commands in samples
-DEFAULT_SOLREFFRICTION = (0.02, 1.0)
-"""MuJoCo's default time constant [s] and damping ratio of the friction constraint."""
-_PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position", "torque_offset": "torque"}
-_IN_ROLLOUTS = ("delay", "position_offset")  # applied by rollouts instead of the compiled model
-_OPTIONAL = (*_IN_ROLLOUTS, "torque_offset")
+_MOST = 10_000  # simulation steps per sample, and samples of the longest delay of commands
 _OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # offset of a sensor or cable, phase of a gear
-DEFAULTS: dict[str, dict[str, Any]] = {
-    "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True},
-    "delay": {"init": 0.0, "low": 0.0, "high": 0.1, "scale": 0.01, "identify": False},
-    "position_offset": {"init": 0.0, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": False},
-    "torque_offset": {"init": 0.0, "low": -20.0, "high": 20.0, "scale": 1.0, "identify": False},
-}
-"""Default sections of a bench's parameters: armature of a servo joint [kg m^2], no delay [s], no encoder offset
-[rad or m], no constant torque [N m or N]."""
-_HEAVIER = 100.0  # factor between the fitted armature and either bound in a restarted bench
 
 
 class Bench(Described):
@@ -58,8 +41,6 @@ class Bench(Described):
         joints: Names of the identified joints, in MuJoCo's order.
         joint_type: `hinge` or `slide`.
         params: The armature, the delay and offsets if any, and the actuator's parameters.
-        solreffriction: The argument; MuJoCo's default for None and `auto`.
-        second_order: The argument; false for None and `auto`.
         own_damping: Damping of each joint in the template [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
         notes: Features of a robot's file that the bench lacks, one line each.
@@ -101,7 +82,7 @@ class Bench(Described):
     def __init__(
         self,
         mjcf: str,
-        joint: str | int | Sequence[str | int] | None = None,
+        joint: Joints = None,
         *,
         actuator: Actuator,
         params: Mapping[str, Any] | None = None,
@@ -115,35 +96,25 @@ class Bench(Described):
         integrator: str | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator, such as PositionPD(kp=15, kd=0.5)")
-        self.source = mjcf
-        self.actuator = actuator
+        self.source, self.actuator = mjcf, actuator
         self._start: dict[str, np.ndarray] = {}  # initial values that override `params`
-        if isinstance(solreffriction, str) and solreffriction != AUTO:
-            raise ConfigError(f"bench.solreffriction={solreffriction}; expected two numbers")
-        solreffriction = DEFAULT_SOLREFFRICTION if solreffriction in (None, AUTO) else solreffriction
-        low, high = (min(solreffriction, default=0.0), max(solreffriction, default=0.0))
-        if len(solreffriction) != 2 or not (low > 0 or high < 0):
-            raise ConfigError(
-                f"bench.solreffriction={list(solreffriction)}; expected two numbers above 0, time constant in s and "
-                "damping ratio, or two below 0, as MuJoCo reads them"
-            )
+        self.solreffriction: list[float] = read_solreffriction(solreffriction)
         if second_order not in (True, False, None, AUTO):
             raise ConfigError(f"bench.second_order={second_order}; expected true or false")
         self.second_order: bool = second_order is True
-        self.solreffriction: list[float] = [float(number) for number in solreffriction]
         self.notes: tuple[str, ...] = ()
         self.inertia: Mapping[str, Sequence[float | int]] = inertia or {}
         self.gravity: Sequence[float | int] | None = gravity
-        step = None if timestep is None or timestep == AUTO else float(timestep)
-        self._template = self._open(mjcf, joint, step).with_inertia(self.inertia).with_gravity(gravity)
+        self._template = self._open(mjcf, joint, timestep).with_inertia(self.inertia).with_gravity(gravity)
         self._template = self._template.with_integrator(integrator)
         self.joints: tuple[str, ...] = self._template.joints
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
         group_joints("bench.tie", self._tie, self.joints)  # refuses patterns that match no joint
-        filled = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})
+        own = read_params("bench", PARAMS, params or {}, PARAMS.keys() - {"armature"}, DEFAULTS)
+        filled = self._fill({**own, **actuator.params})
         self.params: dict[str, Param] = {name: param.for_joints(self.joints) for name, param in filled.items()}
-        refuse_negative("bench.params.", {name: param for name, param in self.params.items() if name in _PARAMS})
+        refuse_negative("bench.params.", {name: param for name, param in self.params.items() if name in PARAMS})
         model = self.compile(constraint=False)
         self._template.refuse_unfit(model, moved="position_offset" in self.params)
         self.joint_type: str = self._template.joint_type(model)
@@ -155,7 +126,7 @@ class Bench(Described):
         self.observed: dict[str, float] = {}
         self._loads: dict[Payload, np.ndarray] = {}  # recordings often share a payload
 
-    def _open(self, mjcf: str, joint: str | int | Sequence[str | int] | None, timestep: float | None) -> Template:
+    def _open(self, mjcf: str, joint: Joints, timestep: float | str | None) -> Template:
         return Template(mjcf, joint, timestep)
 
     def _fill(self, params: Mapping[str, Param]) -> Mapping[str, Param]:
@@ -182,10 +153,10 @@ class Bench(Described):
             init, high, free = (delay.each(field, self.nv) for field in ("init", "high", "identify"))
             longest = float(np.where(free, high, init).max())
         history = int(np.ceil(longest / interval - 1e-9))
-        if history > _MOST_HISTORY:
+        if history > _MOST:
             raise ConfigError(
                 f"bench.params.delay: up to {longest:g} s, which are {history} samples, expected at most "
-                f"{_MOST_HISTORY}; lower its init or high"
+                f"{_MOST}; lower its init or high"
             )
         return Sampling(interval, self._substeps(interval), history, self.actuator.commands, self.second_order)
 
@@ -219,9 +190,9 @@ class Bench(Described):
         Raises:
             BenchError: MuJoCo does not compile the MJCF without the other branches.
         """
-        other = copy.copy(self)
-        other.joints = tuple(self.joints[joint] for joint in joints)
-        other._template, other._loads, other._tie = self._template.only(other.joints), {}, None
+        names = tuple(self.joints[joint] for joint in joints)
+        other = self._around(self._template.only(names))
+        other.joints, other._tie = names, None
         other.params = {name: param.only(joints) for name, param in self.params.items()}
         other._start = {name: value[list(joints)] for name, value in self._start.items()}
         other.own_damping = self.own_damping[list(joints)]
@@ -229,21 +200,19 @@ class Bench(Described):
 
     def with_inertia(self, inertia: Mapping[str, Sequence[float | int]]) -> "Bench":
         """Return the bench with other link inertias, in the format of the argument `inertia`."""
-        other = copy.copy(self)
-        other._template, other._loads = self._template.with_inertia(inertia), {}
-        other.inertia = {**self.inertia, **{name: list(map(float, parameters)) for name, parameters in inertia.items()}}
-        return other._telling(inertia=other.inertia)
+        merged = {**self.inertia, **{name: list(map(float, parameters)) for name, parameters in inertia.items()}}
+        return self._around(self._template.with_inertia(inertia), inertia=merged)
 
     def with_gravity(self, gravity: Sequence[float | int]) -> "Bench":
         """Return the bench with another gravity [m/s^2]."""
-        other = copy.copy(self)
-        other._template, other.gravity, other._loads = self._template.with_gravity(gravity), list(gravity), {}
-        return other._telling(gravity=other.gravity)
+        return self._around(self._template.with_gravity(gravity), gravity=list(gravity))
 
-    def _telling(self, **given: Any) -> "Bench":
+    def _around(self, template: Template, **changed: Any) -> "Bench":
+        other = copy.copy(self)
+        other._template, other._loads = template, {}
         args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, for a complete record
-        object.__setattr__(self, "_given", (args, kwargs | given))
-        return self
+        vars(other).update(changed, _given=(args, kwargs | changed))
+        return other
 
     def with_options(self, options: Mapping[str, Any]) -> "Bench":
         """Return the bench with other options, such as `{"actuator.params.kp.init": 15.0}`, named without `bench.`.
@@ -259,12 +228,11 @@ class Bench(Described):
         A fit would change the other parameters to compensate for errors of the friction model.
         """
         armature = np.asarray(values["armature"])
-        low, high = float(armature.min()) / _HEAVIER, float(armature.max()) * _HEAVIER
+        low, high = float(armature.min()) / 100, float(armature.max()) * 100
         free = Param("armature", "inertia", float(armature[0]), low, high, scale="log", identify=True)
         other = copy.copy(self)
-        other.params = {name: replace(param, identify=False) for name, param in self.params.items()} | {
-            "armature": free
-        }
+        known = {name: replace(param, identify=False) for name, param in self.params.items()}
+        other.params = known | {"armature": free}
         other._tie = None
         other._start = {name: np.array(value) for name, value in values.items()}
         return other
@@ -302,14 +270,16 @@ class Bench(Described):
         template's. `limited` lets MuJoCo's actuators limit the torque if they can, for the `ctrl` of
         `Actuator.combine`.
         """
-        affine = self.actuator.affine(values)
-        joints, actuators = [], []
+        affine, joints, actuators = self.actuator.affine(values), [], []
+        ends = self.actuator.force_range(values) if limited else None
+        # A controller that needs the state combines delayed commands with the present state: its output has no delay.
+        delayed = "delay" in values and not self.actuator.needs_state
         for index, name in enumerate(self.joints):
             joint = {"armature": in_full(values["armature"][index])}
             if "position_offset" in values:
                 unit = np.pi / 180 if self.joint_type == "hinge" and not self._template.has_radians else 1.0
                 joint["ref"] = in_full(-values["position_offset"][index] / unit)
-            joint["solreffriction"] = " ".join(map(in_full, self.solreffriction))
+            joint["solreffriction"] = in_full(self.solreffriction)
             if frictionloss is not None:
                 joint["frictionloss"] = in_full(frictionloss[index])
                 if not self._limited[index]:  # MuJoCo ignores it; Genesis softens dry friction with it
@@ -317,10 +287,13 @@ class Bench(Described):
             if damping is not None:  # added to the template's damping, as in the simulation
                 joint["damping"] = in_full(damping[index] + self.own_damping[index])
             joints.append(joint)
-            gain, *bias = (in_full(coefficient[index]) for coefficient in affine)
-            law = {"gainprm": gain, "biastype": "affine", "biasprm": " ".join(bias)}
-            law |= self._limited_actuator(values, index) if limited else {}
-            actuators.append({"name": name, "joint": name, **law, **self._delayed(values, index)})
+            gain, *bias = (coefficient[index] for coefficient in affine)
+            law = {"gainprm": in_full(gain), "biastype": "affine", "biasprm": in_full(bias)}
+            if ends is not None and not np.abs(ends[index]).min() > 0.1 * LARGEST:  # beyond, it is unlimited
+                law |= {"forcelimited": "true", "forcerange": in_full(ends[index])}
+            if delayed:
+                law |= write_delay(float(values["delay"][index]), self.timestep)
+            actuators.append({"name": name, "joint": name, **law})
         return self._template.write(joints, actuators, comments)
 
     def template(self) -> str:
@@ -336,8 +309,8 @@ class Bench(Described):
             BenchError: MuJoCo refuses the template, or an option of it is not supported.
         """
         rows = np.broadcast_to(constraint, self.nv)
-        # Rollouts delay the command, and the engine sets the reference position.
-        values = {name: value for name, value in self.initial_values().items() if name not in _IN_ROLLOUTS}
+        by_rollouts = ("delay", "position_offset")  # delay of the command, and the engine's reference position
+        values = {name: value for name, value in self.initial_values().items() if name not in by_rollouts}
         return self._template.compile(self.mjcf(values, rows.astype(float) if rows.any() else None), bool(rows.any()))
 
     def accept(self, log: Log) -> Log:
@@ -349,8 +322,9 @@ class Bench(Described):
                 carries it, or lacks an input of the actuator law.
         """
         log = pair_log(log, self.joints)
-        self._check_log(log)
-        inputs, observed = pick_inputs(log, self.actuator, self.nv), pick_observed(log, self.observed, self.nv)
+        refuse_columns(log, self.joints, self.source)
+        self.check_interval(log.timestep, log.name)
+        inputs, observed = pick_inputs(log, self.actuator, self.nv), pick_signals(log, self.observed, self.nv)
         log = replace(log, inputs=inputs, observed=observed)
         if self.payload is None and log.payload is not None:
             raise BenchError(
@@ -370,8 +344,7 @@ class Bench(Described):
         """
         say_lacking(dataset, self.observed, "friction model", ", or take another model")
         say_lacking(dataset, self.actuator.optional_inputs, "actuator")
-        train, test = (tuple(map(self.accept, logs)) for logs in (dataset.train, dataset.test))
-        return Dataset(dataset.name, train, test)
+        return Dataset(dataset.name, *(tuple(map(self.accept, logs)) for logs in (dataset.train, dataset.test)))
 
     def load(self, payload: Payload) -> Float[np.ndarray, "load"]:
         """Return the inertia of the model with a payload; empty for a bench without a payload body.
@@ -397,19 +370,7 @@ class Bench(Described):
         last: without them the motion may change so much that the cause of a problem has no effect.
         """
         for part, template in self._template.simpler():
-            other = copy.copy(self)
-            other._template, other._loads = template, {}
-            yield part, other
-
-    def _check_log(self, log: Log) -> None:
-        for signal in ("qpos", "ctrl"):
-            columns = getattr(log, signal).shape[1]
-            if columns != self.nv:
-                raise BenchError(
-                    f"{log.name}: {signal} has {columns} columns, expected {self.nv} for the joints "
-                    f"{', '.join(self.joints)} of {self.source}; choose other columns or another bench.joint"
-                )
-        self.check_interval(log.timestep, log.name)
+            yield part, self._around(template)
 
     def check_interval(self, interval: float, whose: str) -> None:
         """Refuse a sample interval [s] that is not a whole number of simulation steps.
@@ -417,10 +378,10 @@ class Bench(Described):
         Raises:
             BenchError: It is not a whole number of steps, or has too many steps.
         """
-        if self._substeps(interval) > _MOST_SUBSTEPS:
+        if (substeps := self._substeps(interval)) > _MOST:
             raise BenchError(
-                f"{whose}: {interval:.6g} s per sample are {self._substeps(interval)} simulation steps of "
-                f"{self.timestep:.6g} s, expected at most {_MOST_SUBSTEPS}; set a longer bench.timestep"
+                f"{whose}: {interval:.6g} s per sample are {substeps} simulation steps of "
+                f"{self.timestep:.6g} s, expected at most {_MOST}; set a longer bench.timestep"
             )
         if not self.fits(interval):
             raise BenchError(
@@ -429,23 +390,8 @@ class Bench(Described):
             )
 
     def fits(self, interval: float) -> bool:
-        """Return whether an interval [s] is a whole number of simulation steps."""
-        return abs(interval / (self._substeps(interval) * self.timestep) - 1) <= _TIMESTEP_TOLERANCE
+        """Return whether an interval [s] is within 1 % of a whole number of simulation steps."""
+        return abs(interval / (self._substeps(interval) * self.timestep) - 1) <= 0.01
 
     def _substeps(self, interval: float) -> int:
         return max(1, round(interval / self.timestep))
-
-    def _limited_actuator(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
-        ends = self.actuator.force_range(values)
-        if ends is None or np.abs(ends[index]).min() > _ENDLESS:
-            return {}
-        return {"forcelimited": "true", "forcerange": " ".join(map(in_full, ends[index]))}
-
-    def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
-        """Return the attributes of MuJoCo's actuator that delay its commands; empty if the controller needs the state.
-
-        It then combines delayed commands with the present state, and MuJoCo's actuator must not delay its output.
-        """
-        if "delay" not in values or self.actuator.needs_state:
-            return {}
-        return write_delay(float(values["delay"][index]), self.timestep)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -24,15 +23,10 @@ class BaseParameters:
     matrix: Float[np.ndarray, "base parameters"]
 
     @property
-    def unseen(self) -> tuple[str, ...]:
-        """Parameters without an effect."""
-        return self._pick(~self.matrix.any(axis=0))
-
-    @property
     def combined(self) -> tuple[str, ...]:
         """Parameters that are identifiable only in combination with others."""
         grouped = (self.matrix != 0)[(self.matrix != 0).sum(axis=1) > 1].any(axis=0)
-        return self._pick(grouped)
+        return tuple(name for name, is_grouped in zip(self.names, grouped, strict=True) if is_grouped)
 
     def describe(self) -> list[str]:
         """Return each combination as text: `Izz link_1 + Iyy link_2 + 0.05 m link_3`."""
@@ -46,9 +40,6 @@ class BaseParameters:
                 factor = "" if abs(size - 1) < _NOTHING else f"{size:.4g} "
                 text += f" {'+' if row[index] > 0 else '-'} {factor}{self.names[index]}"
         return text
-
-    def _pick(self, chosen: Any) -> tuple[str, ...]:
-        return tuple(name for name, is_chosen in zip(self.names, chosen, strict=True) if is_chosen)
 
 
 def find_base_parameters(

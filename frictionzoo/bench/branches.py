@@ -69,8 +69,5 @@ def _build(model: mujoco.MjModel) -> bytes:
         if isinstance(value, int | float | np.ndarray):
             parts.append(name.encode() + np.ascontiguousarray(value).tobytes())
     options = (model.opt.timestep, *model.opt.gravity, model.opt.integrator, model.opt.disableflags)
-    return b" ".join(parts) + np.array(options, float).tobytes() + b"".join(_shape(model))
-
-
-def _shape(model: mujoco.MjModel) -> list[bytes]:
-    return [f"{name}{np.shape(getattr(model, name))}".encode() for name in _LINKS]
+    shapes = "".join(f"{name}{np.shape(getattr(model, name))}" for name in _LINKS)
+    return b" ".join(parts) + np.array(options, float).tobytes() + shapes.encode()

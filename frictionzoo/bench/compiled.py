@@ -34,29 +34,49 @@ def can_collide(model: mujoco.MjModel) -> bool:
 
 def combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "load"]:
     """Add a payload to a body of the model, given by index, and return the load in the format of `Bench.load`."""
-    inertial = _combine(model, body, payload)
+    masses = np.array([model.body_mass[body], payload.mass])
+    centres = np.stack([model.body_ipos[body], payload.position])
+    inertias = np.stack([inertia_of(model, body), np.diag(payload.inertia)])
+    mass, centre, total = add_up(masses, centres, inertias)
+    principal, quaternion = principal_axes(total)
+    # Body and payload may both have no mass.
+    inertial = np.concatenate([[mass], centre if mass > 0 else centres[0], quaternion, principal])
     put_inertial(model, body, inertial)
     return np.concatenate([inertial, rigid_inertia(model).ravel()])
 
 
-def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "11"]:
-    """Return mass, centre, principal axes and inertia of a body with its payload, by the parallel-axis theorem."""
+def rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation matrix of a quaternion."""
     axes = np.zeros(9)
-    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-    axes = axes.reshape(3, 3)
-    masses = np.array([model.body_mass[body], payload.mass])
-    centres = np.stack([model.body_ipos[body], payload.position])
-    inertias = [axes * model.body_inertia[body] @ axes.T, np.diag(payload.inertia)]
-    # Body and payload may both have no mass.
-    centre = masses @ centres / masses.sum() if masses.sum() > 0 else centres[0]
-    total = np.zeros((3, 3))
-    for mass, inertia, offset in zip(masses, inertias, centres - centre, strict=True):
-        total += inertia + mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    principal, frame = np.linalg.eigh(total)
-    frame[:, 0] *= np.linalg.det(frame)  # a rotation, not a reflection
+    mujoco.mju_quat2Mat(axes, quaternion)
+    return axes.reshape(3, 3)
+
+
+def inertia_of(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "3 3"]:
+    """Return the inertia of a body, given by index, about its centre of mass in the axes of its frame [kg m^2]."""
+    axes = rotation(model.body_iquat[body])
+    return axes * model.body_inertia[body] @ axes.T
+
+
+def principal_axes(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
+    """Return the principal moments of an inertia and the quaternion of its principal axes."""
+    principal, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection
     quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, frame.ravel())
-    return np.concatenate([[masses.sum()], centre, quaternion, principal])
+    mujoco.mju_mat2Quat(quaternion, axes.ravel())
+    return principal, quaternion
+
+
+def add_up(
+    masses: Float[np.ndarray, "n"], centres: Float[np.ndarray, "n 3"], inertias: Float[np.ndarray, "n 3 3"]
+) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Return total mass, centre of mass and inertia about it of several bodies, all in the same axes."""
+    mass = float(masses.sum())
+    centre = masses @ centres / mass if mass > 0 else np.zeros(3)
+    total = np.zeros((3, 3))
+    for body_mass, inertia, offset in zip(masses, inertias, centres - centre, strict=True):
+        total += inertia + body_mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    return mass, centre, total
 
 
 def put_inertial(model: mujoco.MjModel, body: int, inertial: Float[np.ndarray, "11"]) -> None:
@@ -82,12 +102,8 @@ def rigid_inertia_at(model: mujoco.MjModel, qpos: Float[np.ndarray, "places nv"]
     model.body_simple[:] = model.dof_simplenum[:] = 0
     inertia = np.zeros((len(qpos), model.nv, model.nv))
     for matrix, data.qpos[:] in zip(inertia, qpos, strict=True):
-        _write_inertia(model, data, matrix)
+        # mj_forward would divide by the inertia, which may be 0 for a joint without armature.
+        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM):
+            stage(model, data)
+        mujoco.mj_fullM(model, data, matrix)
     return inertia
-
-
-def _write_inertia(model: mujoco.MjModel, data: mujoco.MjData, inertia: Float[np.ndarray, "nv nv"]) -> None:
-    # mj_forward would divide by the inertia, which may be 0 for a joint without armature.
-    for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM):
-        stage(model, data)
-    mujoco.mj_fullM(model, data, inertia)

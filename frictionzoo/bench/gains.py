@@ -55,19 +55,15 @@ def find_gains(section: Mapping[str, Any], dataset: Dataset, missing: MissingVal
         regressed, reason = _regress(dataset.train)
         gains |= {name: regressed[name] for name in unresolved if name in regressed}
     if unresolved := [name for name in wanted if name not in gains]:
-        _ask(unresolved, reason)
+        example = {"kp": "15", "kd": "0.5"}
+        options = " ".join(f"bench.{_OPTION.format(name)}={example[name]}" for name in unresolved)
+        columns = " and ".join(f"data.columns.{name}" for name in unresolved)
+        raise ConfigError(
+            f"{' and '.join(unresolved)} of the controller: no value{reason}; give your controller's values, as in "
+            f"{options}, or map the columns that contain them ({columns}) or the joint's torque (data.columns.torque), "
+            "from which they are computed"
+        )
     return {_OPTION.format(name): values if len(values) > 1 else values[0] for name, values in gains.items()}
-
-
-def _ask(names: Sequence[str], why: str) -> None:
-    example = {"kp": "15", "kd": "0.5"}
-    options = " ".join(f"bench.{_OPTION.format(name)}={example[name]}" for name in names)
-    columns = " and ".join(f"data.columns.{name}" for name in names)
-    raise ConfigError(
-        f"{' and '.join(names)} of the controller: no value{why}; give your controller's values, as in {options}, or "
-        f"map the columns that contain them ({columns}) or the joint's torque (data.columns.torque), from which they "
-        "are computed"
-    )
 
 
 def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[float]]:

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Inexact
 
-from frictionzoo.bench.compiled import put_inertial
+from frictionzoo.bench.compiled import inertia_of, principal_axes, put_inertial
 from frictionzoo.core.errors import BenchError
 
 SYMBOLS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -34,15 +34,8 @@ _AXES = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # index of each entry of a 
 
 def inertial_parameters(model: mujoco.MjModel, bodies: Sequence[int]) -> Float[np.ndarray, "bodies 10"]:
     """Return the ten parameters of bodies of a compiled model, given by index."""
-    return np.stack([_parameters_of(model, body) for body in bodies])
-
-
-def _parameters_of(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "10"]:
-    axes, centre = np.zeros(9), model.body_ipos[body]
-    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-    axes = axes.reshape(3, 3)
-    about_centre = (axes * model.body_inertia[body]) @ axes.T
-    return to_parameters(model.body_mass[body], centre, about_centre)
+    rows = [to_parameters(model.body_mass[body], model.body_ipos[body], inertia_of(model, body)) for body in bodies]
+    return np.stack(rows)
 
 
 def to_parameters(
@@ -74,10 +67,7 @@ def put_parameters(model: mujoco.MjModel, body: int, parameters: Float[np.ndarra
             "m, m c, I; expected a positive definite pseudo-inertia; fit it with log-Cholesky coordinates"
         )
     mass, centre, inertia = from_parameters(parameters)
-    principal, frame = np.linalg.eigh(inertia)
-    frame[:, 0] *= np.linalg.det(frame)  # a rotation, not a reflection
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, frame.ravel())
+    principal, quaternion = principal_axes(inertia)
     put_inertial(model, body, np.concatenate([[mass], centre, quaternion, principal]))
 
 

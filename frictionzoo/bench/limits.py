@@ -13,7 +13,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
 
 KINDS = ("commanded position", "commanded velocity", "position", "velocity", "torque")
-"""Limited quantities, in the order of `Limits.shares`."""
+"""Limited quantities, in the order of `Motion.shares`."""
 _MOVED = 1e-3  # displacement of command or joint that tests the actuator [rad or m]
 
 
@@ -52,7 +52,8 @@ class Limits:
         Raises:
             ConfigError: A limit is invalid, or the limits allow no motion.
         """
-        pairs = np.array([_pair(position)] if nv == 1 or not _is_nested(position) else list(map(_pair, position)))
+        is_nested = isinstance(position, list) and all(isinstance(entry, list) for entry in position)
+        pairs = np.array([_pair(position)] if nv == 1 or not is_nested else list(map(_pair, position)))
         if len(pairs) not in (1, nv):
             raise ConfigError(f"position={position}: {len(pairs)} pairs, expected {nv}, one a joint")
         low, high = np.broadcast_to(pairs, (nv, 2)).T
@@ -64,16 +65,10 @@ class Limits:
         low, high = (self.home + share * (end - self.home) for end in (self.low, self.high))
         return replace(self, low=low, high=high, velocity=share * self.velocity, torque=share * self.torque)
 
-    def shares(self, xp: Any, command: Any, speed: Any, qpos: Any, qvel: Any, torque: Any) -> Any:
-        """Return each of `KINDS` relative to its limit, (5, ..., nv); `speed` is the derivative of `command`."""
-        commanded, reached = (
-            xp.maximum((x - self.home) / (self.high - self.home), self._below(x)) for x in (command, qpos)
-        )
-        velocities = abs(speed) / self.velocity, abs(qvel) / self.velocity
-        return xp.stack([commanded, velocities[0], reached, velocities[1], abs(torque) / self.torque])
-
-    def _below(self, position: Any) -> Any:
-        return (self.home - position) / (self.home - self.low)
+    def position_share(self, xp: Any, position: Any) -> Any:
+        """Return the used share of the range of positions, on the side of `home` where the position is."""
+        above, below = (position - self.home) / (self.high - self.home), (self.home - position) / (self.home - self.low)
+        return xp.maximum(above, below)
 
 
 class Motion(NamedTuple):
@@ -86,8 +81,10 @@ class Motion(NamedTuple):
     torque: Any
 
     def shares(self, xp: Any, limits: Limits) -> Any:
-        """Return the used shares of the limits; see `Limits.shares`."""
-        return limits.shares(xp, *self)
+        """Return each of `KINDS` relative to its limit, (5, ..., nv)."""
+        commanded, reached = (limits.position_share(xp, position) for position in (self.ctrl, self.qpos))
+        velocities = abs(self.speed) / limits.velocity, abs(self.qvel) / limits.velocity
+        return xp.stack([commanded, velocities[0], reached, velocities[1], abs(self.torque) / limits.torque])
 
 
 def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[str, Any], limits: Limits) -> None:
@@ -126,10 +123,6 @@ def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[s
         )
 
 
-def _is_nested(given: Any) -> bool:
-    return isinstance(given, list) and all(isinstance(entry, list) for entry in given)
-
-
 def _pair(given: Any) -> tuple[float, float]:
     try:
         if isinstance(given, list):
@@ -145,7 +138,7 @@ def _per_joint(name: str, given: Any, nv: int) -> Float[np.ndarray, "nv"]:
     try:
         values = np.asarray(given, np.float64)
     except (TypeError, ValueError):
-        raise ConfigError(f"{name}={given}: expected a number, or a list of {nv}, one a joint") from None
+        values = np.array(np.nan)
     if values.shape not in ((), (1,), (nv,)) or not np.isfinite(values).all():
         raise ConfigError(f"{name}={given}: expected a number, or a list of {nv}, one a joint")
     return np.broadcast_to(values, nv)

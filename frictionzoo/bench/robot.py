@@ -12,11 +12,13 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.actuators.force import Force
 from frictionzoo.bench.actuators.joint_pd import JointPD
 from frictionzoo.bench.actuators.saturation import LIMITS, POSITIONS
-from frictionzoo.bench.base import DEFAULTS, Bench
-from frictionzoo.bench.robot_file import ReadActuator, RobotFile, read_robot
-from frictionzoo.bench.template import Template
-from frictionzoo.core.errors import BenchError, ConfigError, MissingValueError, closest
-from frictionzoo.core.params import AUTO, LARGEST, Param, refuse_negative
+from frictionzoo.bench.base import Bench
+from frictionzoo.bench.robot_file import RobotFile, read_robot
+from frictionzoo.bench.robot_file.read import refuse_other
+from frictionzoo.bench.sections import DEFAULTS
+from frictionzoo.bench.template import Joints, Template
+from frictionzoo.core.errors import BenchError, MissingValueError
+from frictionzoo.core.params import LARGEST, Param, refuse_negative
 
 _OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters that only bristle models have
 _RANGES = {"torque_limit": "ranges of torque", "torque_low": "ranges of torque"}
@@ -59,7 +61,7 @@ class Robot(Bench):
     def __init__(
         self,
         mjcf: str,
-        joint: str | int | Sequence[str | int] | None = None,
+        joint: Joints = None,
         *,
         actuator: Actuator | None = None,
         params: Mapping[str, Any] | None = None,
@@ -79,13 +81,11 @@ class Robot(Bench):
     ) -> None:
         keep = () if payload is None else (payload,)
         self.choices: Mapping[str, str] = {"base": base, "contacts": contacts, "limits": limits, "others": others}
-        step = None if timestep is None or timestep == AUTO else float(timestep)
-        self.file: RobotFile = read_robot(mjcf, joint, **self.choices, keep=keep, timestep=step)
+        self.file: RobotFile = read_robot(mjcf, joint, **self.choices, keep=keep, timestep=timestep)
         sections = {**(params or {})}
         for name, defaults in {"armature": {"high": self.armature_high}, "delay": {}}.items():
             sections[name] = {"init": None, **defaults, **_section(sections.get(name, {}))}
-        if ranges not in ("keep", "leave_out"):
-            raise ConfigError(f"bench.ranges={ranges}: no such choice; {closest(str(ranges), ('keep', 'leave_out'))}")
+        refuse_other("ranges", ranges, ("keep", "leave_out"))
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
         self._known = _list_known(self.file) | (_list_ranges(self.file) if ranges == "keep" else {})
         self._said: list[str] = []  # differences of initial values and ranges from the file
@@ -223,12 +223,9 @@ def _read_actuator(source: str, file: RobotFile) -> Actuator:
         return JointPD(params={"kp": {"init": None}, "kd": {"init": None}})
     if kinds == {"motor"}:
         return Force(params={"force_gain": {"init": None}})
-    listing = ", ".join(f"{name}: {_say(read)}" for name, read in zip(file.joints, file.actuators, strict=True))
+    pairs = zip(file.joints, file.actuators, strict=True)
+    listing = ", ".join(f"{name}: {'none' if read is None else read.kind}" for name, read in pairs)
     raise BenchError(
         f"{source}: its joints do not share one actuator ({listing[:200]}); set bench.actuator, which "
         "turns the recorded commands into torque, such as JointPD with kp and kd, or Force for torques"
     )
-
-
-def _say(read: ReadActuator | None) -> str:
-    return "none" if read is None else read.kind

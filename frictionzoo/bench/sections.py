@@ -1,8 +1,19 @@
-"""Changes of options in a bench's section, by their dotted names without the prefix `bench.`."""
+"""Section of a bench: its parameters, and changes of options by dotted names without the prefix `bench.`."""
 
 import copy
 from collections.abc import Mapping
 from typing import Any
+
+PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position", "torque_offset": "torque"}
+"""Dimension of each parameter of a bench."""
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True},
+    "delay": {"init": 0.0, "low": 0.0, "high": 0.1, "scale": 0.01, "identify": False},
+    "position_offset": {"init": 0.0, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": False},
+    "torque_offset": {"init": 0.0, "low": -20.0, "high": 20.0, "scale": 1.0, "identify": False},
+}
+"""Default sections of a bench's parameters: armature of a servo joint [kg m^2], no delay [s], no encoder offset
+[rad or m], no constant torque [N m or N]."""
 
 
 def put_options(section: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -10,11 +21,10 @@ def put_options(section: Mapping[str, Any], options: Mapping[str, Any]) -> dict[
     changed = copy.deepcopy(dict(section))
     for name, value in options.items():
         *path, key = name.split(".")
-        owner = _descend(changed, path[:-2] if path[-2:-1] == ["params"] else path)
         if path[-2:-1] == ["params"]:
-            _put_parameter(owner, path[-1], key, value)
+            _put_parameter(_descend(changed, path[:-2]), path[-1], key, value)
         else:
-            owner[key] = value
+            _descend(changed, path)[key] = value
     return changed
 
 
@@ -27,7 +37,6 @@ def _descend(place: dict[str, Any], path: list[str]) -> dict[str, Any]:
 
 def _put_parameter(owner: dict[str, Any], name: str, what: str, value: Any) -> None:
     """Set one entry of a parameter's section; a plain value becomes the section's `init`."""
-    params = owner["params"] = dict(owner.get("params") or {})
+    params = _descend(owner, ["params"])
     current = owner.pop(name) if name in owner else params.get(name, {})
-    section = {} if isinstance(current, Mapping) else {"init": current}
-    params[name] = {**(current if isinstance(current, Mapping) else section), what: value}
+    params[name] = {**(current if isinstance(current, Mapping) else {"init": current}), what: value}

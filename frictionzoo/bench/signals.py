@@ -52,6 +52,21 @@ def _arrange(log: Log, joints: Sequence[str]) -> dict[str, Pairing]:
     return arrange(log.name, {signal: headers for signal, headers in log.columns.items() if signal in recorded}, joints)
 
 
+def refuse_columns(log: Log, joints: Sequence[str], source: str) -> None:
+    """Refuse a log whose positions or commands have another number of columns than the file `source` has joints.
+
+    Raises:
+        BenchError: The number differs.
+    """
+    for signal in ("qpos", "ctrl"):
+        columns = getattr(log, signal).shape[1]
+        if columns != len(joints):
+            raise BenchError(
+                f"{log.name}: {signal} has {columns} columns, expected {len(joints)} for the joints "
+                f"{', '.join(joints)} of {source}; choose other columns or another bench.joint"
+            )
+
+
 def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
     """Return the inputs of the actuator law of `nv` joints, by name.
 
@@ -65,16 +80,7 @@ def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.nda
                 f"{log.name}: no {name}, which {type(actuator).__name__} needs; {column}give a field or a number "
                 f"('data.inputs={{{name}: VALUE}}')"
             )
-    return _pick(log, {name: actuator.optional_inputs.get(name, 0.0) for name in actuator.inputs}, nv)
-
-
-def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
-    """Return the inputs of the friction model by name; see `Bench.observed`.
-
-    Raises:
-        BenchError: An input has a wrong number of columns, or is not finite.
-    """
-    return _pick(log, observed, nv)
+    return pick_signals(log, {name: actuator.optional_inputs.get(name, 0.0) for name in actuator.inputs}, nv)
 
 
 def say_lacking(dataset: Dataset, wanted: Mapping[str, float], whose: str, otherwise: str = "") -> None:
@@ -95,8 +101,12 @@ def say_lacking(dataset: Dataset, wanted: Mapping[str, float], whose: str, other
             _log.info("%s: no %s recorded; the %s uses %g", dataset.name, name, whose, value)
 
 
-def _pick(log: Log, wanted: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
-    """Return signals by name: the recorded signal, or else the constant in `wanted`."""
+def pick_signals(log: Log, wanted: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
+    """Return signals for `nv` joints by name: the recorded signal, or else the constant in `wanted`.
+
+    Raises:
+        BenchError: A signal has a wrong number of columns, or is not finite.
+    """
     return {
         name: _for_each_joint(log, name, nv) if name in log.extras else np.full(log.qpos.shape, value)
         for name, value in wanted.items()

@@ -2,10 +2,10 @@
 
 import copy
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import mujoco
 import numpy as np
@@ -13,9 +13,9 @@ import numpy as np
 from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT
 from frictionzoo.bench.inertia import SYMBOLS, from_parameters, is_consistent, to_parameters
 from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.params import AUTO
 from frictionzoo.core.xml import write_comment, write_xml
 
-_JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
 _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
 _NO_ACTUATORS = {"default", "mesh", "texture", "material", "joint", "geom", "site", "camera", "light", "pair"}
@@ -23,6 +23,10 @@ _NO_ACTUATORS |= {"equality", "tendon"}
 """Elements of an MJCF's defaults that do not affect actuators."""
 _GEOMETRY = {"axis", "pos", "quat", "euler", "axisangle", "xyaxes", "zaxis", "size", "fromto", "mass", "diaginertia"}
 _KEPT = {"mujoco", "worldbody", "body", "compiler"}
+Joints = str | int | Sequence[str | int] | None
+"""Name or names of joints; None for all, or for a file's only one."""
+DEFAULT_SOLREFFRICTION = (0.02, 1.0)
+"""MuJoCo's default time constant [s] and damping ratio of the friction constraint."""
 
 
 class Template:
@@ -33,15 +37,12 @@ class Template:
         ConfigError: The step is not positive.
     """
 
-    def __init__(self, source: str, joint: str | int | Sequence[str | int] | None, timestep: float | None) -> None:
+    def __init__(self, source: str, joint: Joints, timestep: float | str | None) -> None:
         self.source: str = source
         self._root = _read(source)
-        if timestep is not None:
-            if not timestep > 0:
-                raise ConfigError(f"bench.timestep={timestep}; expected a positive number of seconds, or null")
-            _section(self._root, "option")
-            for option in self._root.findall("option"):  # the last of several takes effect
-                option.set("timestep", in_full(timestep))
+        step = read_timestep(timestep)
+        if step is not None:
+            self._set_option("timestep", in_full(step))
         self.joints: tuple[str, ...] = self._choose_joints(joint)
         self._refuse_clashes()
 
@@ -64,8 +65,7 @@ class Template:
         Raises:
             BenchError: A body does not exist, or its parameters are not ten or not physically consistent.
         """
-        other = copy.copy(self)
-        other._root = copy.deepcopy(self._root)
+        other = self._copied()
         if inertia and any(compiler.get("inertiafromgeom") == "true" for compiler in other._root.findall("compiler")):
             self._fail('inertiafromgeom="true", but bench.inertia gives inertias; remove it from the MJCF')
         bodies = {body.get("name"): body for body in other._root.findall("./worldbody//body")}
@@ -74,8 +74,7 @@ class Template:
                 self._fail(f"no body {name}; {closest(name, filter(None, bodies))}; set bench.inertia")
             for inertial in bodies[name].findall("inertial"):
                 bodies[name].remove(inertial)
-            attributes = {key: " ".join(map(in_full, np.ravel(value))) for key, value in _inertial(name, parameters)}
-            bodies[name].insert(0, ET.Element("inertial", attributes))
+            bodies[name].insert(0, ET.Element("inertial", _inertial(name, parameters)))
         return other
 
     def with_gravity(self, gravity: Sequence[float | int] | None) -> "Template":
@@ -89,12 +88,7 @@ class Template:
         numbers = np.array(gravity, np.float64)
         if numbers.shape != (3,) or not np.isfinite(numbers).all():
             raise ConfigError(f"bench.gravity={list(gravity)}: expected three numbers in m/s^2, or null for the file's")
-        other = copy.copy(self)
-        other._root = copy.deepcopy(self._root)
-        _section(other._root, "option")
-        for option in other._root.findall("option"):
-            option.set("gravity", " ".join(map(in_full, numbers)))
-        return other
+        return self._copied()._set_option("gravity", in_full(numbers))
 
     def with_integrator(self, integrator: str | None) -> "Template":
         """Return the template with another integrator, in upper or lower case; None changes nothing.
@@ -107,12 +101,18 @@ class Template:
         names = {name.casefold(): name for name in INTEGRATORS.values()}
         if str(integrator).casefold() not in names:
             raise ConfigError(f"bench.integrator={integrator}: {closest(str(integrator), INTEGRATORS.values())}")
+        return self._copied()._set_option("integrator", names[integrator.casefold()])
+
+    def _copied(self) -> "Template":
         other = copy.copy(self)
         other._root = copy.deepcopy(self._root)
-        _section(other._root, "option")
-        for option in other._root.findall("option"):
-            option.set("integrator", names[integrator.casefold()])
         return other
+
+    def _set_option(self, name: str, value: str) -> "Template":
+        _section(self._root, "option")
+        for option in self._root.findall("option"):  # the last of several takes effect
+            option.set(name, value)
+        return self
 
     def write(
         self, joints: Sequence[Mapping[str, str]], actuators: Sequence[Mapping[str, str]], comments: Sequence[str] = ()
@@ -190,10 +190,10 @@ class Template:
         Raises:
             BenchError: The joints have different types, or an unsupported type.
         """
-        types = {int(kind) for kind in model.jnt_type}
-        if len(types) != 1 or not types <= set(map(int, _JOINT_TYPES)):
+        types = set(map(joint_type, model.jnt_type))
+        if len(types) != 1 or not types <= {"hinge", "slide"}:
             self._fail("joints of several or unsupported types, expected all hinge or all slide")
-        return _JOINT_TYPES[mujoco.mjtJoint(types.pop())]
+        return types.pop()
 
     def find_body(self, model: mujoco.MjModel, name: str) -> int:
         """Return the index of the body that carries payloads.
@@ -211,8 +211,8 @@ class Template:
 
     def only(self, joints: Sequence[str]) -> "Template":
         """Return the template without the bodies that other joints move."""
-        other = copy.copy(self)
-        other._root, other.joints = copy.deepcopy(self._root), tuple(joints)
+        other = self._copied()
+        other.joints = tuple(joints)
         for parent in list(other._root.iter()):
             for body in parent.findall("body"):
                 names = [joint.get("name") for joint in body.findall("joint")]
@@ -236,8 +236,7 @@ class Template:
 
     def _without(self, element: ET.Element, attribute: str | None) -> "Template":
         index = list(self._root.iter()).index(element)
-        other = copy.copy(self)
-        other._root = copy.deepcopy(self._root)
+        other = self._copied()
         copied = list(other._root.iter())[index]
         if attribute is not None:
             del copied.attrib[attribute]
@@ -245,25 +244,19 @@ class Template:
             next(parent for parent in other._root.iter() if copied in list(parent)).remove(copied)
         return other
 
-    def _choose_joints(self, joint: str | int | Sequence[str | int] | None) -> tuple[str, ...]:
+    def _choose_joints(self, joint: Joints) -> tuple[str, ...]:
         names = [element.get("name", "") for element in self._root.findall("./worldbody//joint")]
         if joint is None:
             if len(names) != 1 or not names[0]:
                 listed = ", ".join(name or "(unnamed)" for name in names) or "none"
                 self._fail(f"joints {listed}, expected one named joint; set bench.joint")
             return (names[0],)
-        wanted = [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
+        wanted = read_joints(joint)
         for name in wanted:
             if name not in names:
                 self._fail(f"no joint {name}; {closest(name, filter(None, names))}; set bench.joint")
-        ordered = [name for name in names if name in wanted]
-        if wanted != ordered:
-            # The recording's columns follow bench.joint: another order would silently swap the joints.
-            raise BenchError(
-                f"bench.joint=[{', '.join(wanted)}]: expected each joint once in the order of {self.source}, "
-                f"[{', '.join(ordered)}]; change it, and data.columns with it"
-            )
-        return tuple(ordered)
+        refuse_other_order(self.source, wanted, names)
+        return tuple(wanted)
 
     def _refuse_clashes(self) -> None:
         if self._root.find(".//include") is not None:
@@ -300,7 +293,7 @@ def _describe(element: ET.Element) -> str:
     return f"<{element.tag}{f' {name}' if name else ''}>"
 
 
-def _inertial(name: str, parameters: Sequence[float | int]) -> Iterator[tuple[str, float | np.ndarray]]:
+def _inertial(name: str, parameters: Sequence[float | int]) -> dict[str, str]:
     numbers = np.array(parameters, np.float64)
     if numbers.shape != (10,) or not is_consistent(numbers):
         raise BenchError(
@@ -308,7 +301,8 @@ def _inertial(name: str, parameters: Sequence[float | int]) -> Iterator[tuple[st
             "about its frame's origin; correct it"
         )
     mass, centre, inertia = from_parameters(numbers)
-    yield from {"pos": centre, "mass": mass, "fullinertia": to_parameters(mass, np.zeros(3), inertia)[4:]}.items()
+    full_inertia = to_parameters(mass, np.zeros(3), inertia)[4:]
+    return {"pos": in_full(centre), "mass": in_full(mass), "fullinertia": in_full(full_inertia)}
 
 
 def _section(root: ET.Element, tag: str) -> ET.Element:
@@ -316,6 +310,61 @@ def _section(root: ET.Element, tag: str) -> ET.Element:
     return ET.SubElement(root, tag) if section is None else section
 
 
-def in_full(value: float | np.floating) -> str:
-    """Return a number as MJCF text at full precision."""
-    return repr(float(value))
+def joint_type(kind: int) -> str:
+    """Return the MJCF's name of a compiled joint's type: `free`, `ball`, `slide` or `hinge`."""
+    return mujoco.mjtJoint(int(kind)).name.removeprefix("mjJNT_").lower()
+
+
+def read_joints(joint: str | int | Sequence[str | int]) -> list[str]:
+    """Return the names in `bench.joint`; the command line parses a name such as 0 as a number."""
+    return [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
+
+
+def refuse_other_order(source: str, wanted: Sequence[str], names: Iterable[str]) -> None:
+    """Refuse joints in an order other than that of the `names` in the file `source`.
+
+    The recording's columns follow `bench.joint`: another order would silently swap the joints.
+
+    Raises:
+        BenchError: The order differs, or a joint occurs twice.
+    """
+    ordered = [name for name in names if name in wanted]
+    if wanted != ordered:
+        raise BenchError(
+            f"bench.joint=[{', '.join(wanted)}]: expected each joint once in the order of {source}, "
+            f"[{', '.join(ordered)}]; change it, and data.columns with it"
+        )
+
+
+def read_timestep(timestep: float | str | None) -> float | None:
+    """Return the simulation step [s]; None for None and `auto`.
+
+    Raises:
+        ConfigError: The step is not positive.
+    """
+    step = None if timestep is None or timestep == AUTO else float(timestep)
+    if step is not None and not step > 0:
+        raise ConfigError(f"bench.timestep={step}; expected a positive number of seconds, or null")
+    return step
+
+
+def read_solreffriction(given: Sequence[float] | str | None) -> list[float]:
+    """Return the two numbers of `bench.solreffriction`; MuJoCo's default for None and `auto`.
+
+    Raises:
+        ConfigError: They are not two numbers of the same sign.
+    """
+    if isinstance(given, str) and given != AUTO:
+        raise ConfigError(f"bench.solreffriction={given}; expected two numbers")
+    numbers = DEFAULT_SOLREFFRICTION if given is None or isinstance(given, str) else given
+    if len(numbers) != 2 or not (min(numbers) > 0 or max(numbers) < 0):
+        raise ConfigError(
+            f"bench.solreffriction={list(numbers)}; expected two numbers above 0, time constant in s and "
+            "damping ratio, or two below 0, as MuJoCo reads them"
+        )
+    return [float(number) for number in numbers]
+
+
+def in_full(values: Any) -> str:
+    """Return a number, or an array of numbers, as MJCF text at full precision."""
+    return " ".join(repr(float(value)) for value in np.ravel(values))

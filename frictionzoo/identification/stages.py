@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.bench.base import DEFAULT_SOLREFFRICTION
+from frictionzoo.bench.template import DEFAULT_SOLREFFRICTION
 from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO

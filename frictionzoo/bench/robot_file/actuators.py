@@ -1,17 +1,14 @@
 """Actuator, armature, damping and bristle friction of each joint in a robot's file."""
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.delay import read_filter
-from frictionzoo.bench.robot_file.actuator import Command, ReadActuator
-from frictionzoo.bench.robot_file.controllers import combine, without_others
+from frictionzoo.bench.robot_file.controllers import Command, ReadActuator, combine, ctrlrange, range_of, without_others
 from frictionzoo.bench.robot_file.dc_motors import (
-    has_input,
     is_dc_motor,
     read_back_emf,
     read_bristles,
@@ -73,14 +70,11 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
         names = listed([model.joint(joint).name for joint in nonlinear])
         source.notes.append(f"nonlinear damping of joint {names}: only the coefficient of qvel is kept")
     damping = [model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints]
-    return np.array(damping) + [
-        sum(map(partial(read_back_emf, model), _list_windings(model, joint))) for joint in joints
+    motors = [[index for index in _list_at(model, joint) if is_dc_motor(model, index)] for joint in joints]
+    back_emf = [
+        sum(read_back_emf(model, index) for index in indices if _why_not(model, index) is None) for indices in motors
     ]
-
-
-def _list_windings(model: mujoco.MjModel, joint: int) -> list[int]:
-    motors = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
-    return [index for index in motors if _why_not(model, index) is None]
+    return np.array(damping) + back_emf
 
 
 def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> float:
@@ -109,7 +103,7 @@ def _read_joint(source: Source, joint: int) -> ReadActuator | None:
         if reason:
             source.notes.append(f"actuator {name} of joint {model.joint(joint).name} is left out: {reason}")
             continue
-        if not has_input(model, index):
+        if model.actuator_ctrlnum[index] == 0:
             continue  # a DC motor without a command; its bristles and back-EMF count as the joint's friction
         if is_dc_motor(model, index):
             source.notes.append(
@@ -157,7 +151,7 @@ def _read(source: Source, index: int) -> ReadActuator:
     gain = -bias1 if is_pid else float(model.actuator_gainprm[index, 0])
     gain = torque_per_volt(model, index) if is_dc_motor(model, index) else gain
     kind = _kind(gain, bias0, bias1, bias2)
-    low, high = _range(model.actuator_forcerange[index], bool(model.actuator_forcelimited[index]))
+    low, high = range_of(model.actuator_forcerange[index], model.actuator_forcelimited[index])
     forcerange = (low * gear, high * gear) if gear >= 0 else (high * gear, low * gear)
     commands = tuple(_commands(model, index, kind))
     source.notes += _say_ranges(model, index, commands)
@@ -169,7 +163,7 @@ def _read(source: Source, index: int) -> ReadActuator:
         gear**2 * bias1,
         gear**2 * bias2,
         gear,
-        _ctrlrange(model, commands[0].index),
+        ctrlrange(model, commands[0].index),
         forcerange,
         _delay(source, index),
         commands,
@@ -197,14 +191,9 @@ def _commands(model: mujoco.MjModel, index: int, kind: str) -> Iterator[Command]
 
 
 def _say_ranges(model: mujoco.MjModel, index: int, commands: Sequence[Command]) -> Iterator[str]:
-    signals = [command.signal for command in commands[1:] if not np.isnan(_ctrlrange(model, command.index)).all()]
+    signals = [command.signal for command in commands[1:] if not np.isnan(ctrlrange(model, command.index)).all()]
     if signals:
         yield f"ranges of {listed(signals)} of actuator {_name(model, index)} are left out"
-
-
-def _ctrlrange(model: mujoco.MjModel, ctrl: int) -> tuple[float, float]:
-    clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    return _range(model.actuator_ctrlrange[ctrl], bool(model.actuator_ctrllimited[ctrl]) and clamps)
 
 
 def _delay(source: Source, index: int) -> float:
@@ -232,10 +221,6 @@ def _lag(model: mujoco.MjModel, index: int) -> float:
     filters = int(model.actuator_dyntype[index]) == mujoco.mjtDyn.mjDYN_FILTEREXACT and model.actuator_actearly[index]
     lag = read_filter(constant, step) if filters and constant > 0 else 0.0
     return lag if lag < step else 0.0
-
-
-def _range(ends: np.ndarray, limited: bool) -> tuple[float, float]:
-    return (float(ends[0]), float(ends[1])) if limited else (np.nan, np.nan)
 
 
 def _say_commands(source: Source, joints: Sequence[int], read: Sequence[ReadActuator | None]) -> Iterator[str]:

@@ -1,18 +1,89 @@
-"""Combination of a joint's actuators into one controller, and comparison of torques with MuJoCo C."""
+"""Actuator of a joint, combination of several into one controller, and comparison of torques with MuJoCo C."""
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from frictionzoo.bench.robot_file.actuator import Command, ReadActuator
 from frictionzoo.bench.robot_file.dc_motors import is_dc_motor
 from frictionzoo.bench.robot_file.source import Source, listed
 
 _STATES = 20
 _SAME = 1e-9  # largest difference of a torque, relative to its largest term
+
+
+class Command(NamedTuple):
+    """Recorded `signal` (`ctrl`, `ctrl_velocity` or `ctrl_torque`) = `factor`, with gear, * `MjData.ctrl[index]`."""
+
+    index: int
+    signal: str
+    factor: float
+
+
+@dataclass(frozen=True)
+class ReadActuator:
+    """Actuator of the file in joint space: torque = gain ctrl + bias0 + bias1 qpos + bias2 qvel.
+
+    Attributes:
+        name: Name in the file, or its number; all names if several actuators form one controller.
+        kind: `motor`, `position` (with or without velocity and torque commands), `velocity` or `general`.
+        gain: Factor of the first command, including the gear.
+        ctrlrange: Range of the first command, in the command's unit; NaN without a range.
+        forcerange: Torque range at the joint [N m or N]; NaN without a range.
+        delay: Delay of the commands in MuJoCo's steps [s].
+        commands: Recorded signal of each command; the first is `ctrl`.
+    """
+
+    name: str
+    kind: str
+    gain: float
+    bias0: float
+    bias1: float
+    bias2: float
+    gear: float
+    ctrlrange: tuple[float, float]
+    forcerange: tuple[float, float]
+    delay: float
+    commands: tuple[Command, ...]
+
+    @property
+    def torques(self) -> tuple[float, float]:
+        """Torque range [N m or N]; a motor's command range limits it too."""
+        low, high = self.forcerange
+        if self.kind != "motor":
+            return low, high
+        ends = np.sort(self.gain * np.array(self.ctrlrange))
+        return clip_range((float(ends[0]), float(ends[1])), self.forcerange)
+
+    @property
+    def positions(self) -> tuple[float, float]:
+        """Range of desired positions [rad or m]; NaN without a range or a position command."""
+        if self.kind != "position":
+            return np.nan, np.nan
+        low, high = np.sort(np.array(self.ctrlrange) / self.gear)
+        return float(low), float(high)
+
+
+def clip_range(inner: tuple[float, float], outer: tuple[float, float]) -> tuple[float, float]:
+    """Return the range of a value clipped to `inner` and then to `outer`; NaN is no limit."""
+    if np.isnan(inner).any() or np.isnan(outer).any():
+        return outer if np.isnan(inner).any() else inner
+    low, high = np.clip(inner, *outer)
+    return float(low), float(high)
+
+
+def range_of(ends: np.ndarray, limited: bool) -> tuple[float, float]:
+    """Return a range from its ends in the compiled model; NaN if it is not limited."""
+    return (float(ends[0]), float(ends[1])) if limited else (np.nan, np.nan)
+
+
+def ctrlrange(model: mujoco.MjModel, ctrl: int) -> tuple[float, float]:
+    """Return the range of a command in the compiled model; NaN without a range."""
+    clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    return range_of(model.actuator_ctrlrange[ctrl], clamps and bool(model.actuator_ctrllimited[ctrl]))
 
 
 def combine(source: Source, joint: str, read: Sequence[ReadActuator]) -> ReadActuator | None:
@@ -53,8 +124,7 @@ def _together(parts: Mapping[str, ReadActuator], name: str) -> ReadActuator:
         commands.append(Command(velocity.commands[0].index, "ctrl_velocity", factor))
     if motor is not None:
         commands.append(Command(motor.commands[0].index, "ctrl_torque", motor.gain))
-    no_range = np.nan, np.nan
-    return replace(position, name=name, bias2=damping, forcerange=no_range, commands=tuple(commands))
+    return replace(position, name=name, bias2=damping, forcerange=(np.nan, np.nan), commands=tuple(commands))
 
 
 def without_others(
@@ -109,10 +179,8 @@ def _draw(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) 
     low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [[-3.0, 3.0]]).T
     data.ctrl[:] = (low + high) / 2 + (high - low) * rng.uniform(-1, 1, model.nu)
     for index in np.flatnonzero((model.actuator_actnum == 1) & (model.actuator_ctrlnum > 0)):
-        clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
         ctrl = model.actuator_ctrladr[index]
-        ends = (low[ctrl], high[ctrl]) if clamps and model.actuator_ctrllimited[ctrl] else (np.nan, np.nan)
-        data.act[model.actuator_actadr[index]] = _within(data.ctrl[ctrl], ends)
+        data.act[model.actuator_actadr[index]] = _within(data.ctrl[ctrl], ctrlrange(model, ctrl))
     for stage in (mujoco.mj_fwdPosition, mujoco.mj_fwdVelocity, mujoco.mj_fwdActuation):
         stage(model, data)
 

@@ -1,4 +1,4 @@
-"""Equality constraints and tendons that couple joints."""
+"""Equality constraints and tendons that couple joints, and geoms that can touch each other, written as MJCF."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
@@ -7,9 +7,20 @@ import mujoco
 import numpy as np
 
 from frictionzoo.bench.robot_file.source import Source, listed
-from frictionzoo.bench.robot_file.tree import Tree, numbers
+from frictionzoo.bench.robot_file.tree import Tree
+from frictionzoo.bench.template import in_full
 
 _EQ, _WRAP = mujoco.mjtEq, mujoco.mjtWrap
+_SIZES = {
+    int(mujoco.mjtGeom.mjGEOM_PLANE): ("plane", 3),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
+}
+"""Name and number of size parameters of each primitive geom type."""
+_SAID = ("condim", "contype", "conaffinity", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap")
 
 
 def add_equalities(source: Source, tree: Tree, joints: Sequence[int], root: ET.Element) -> None:
@@ -65,7 +76,7 @@ def _joint_equality(source: Source, joints: Sequence[int], index: int) -> ET.Ele
         )
     values = {"polycoef": model.eq_data[index, :5], "solref": model.eq_solref[index], "solimp": model.eq_solimp[index]}
     names = {f"joint{end + 1}": model.joint(joint).name for end, joint in enumerate(ends)}
-    return ET.Element("joint", names | {key: numbers(value) for key, value in values.items()})
+    return ET.Element("joint", names | {key: in_full(value) for key, value in values.items()})
 
 
 def add_tendons(source: Source, tree: Tree, joints: Sequence[int], root: ET.Element, limits: bool) -> None:
@@ -135,8 +146,50 @@ def _fixed(model: mujoco.MjModel, joints: Sequence[int], tendon: int, limits: bo
         values |= {"range": model.tendon_range[tendon] - constant, "margin": model.tendon_margin[tendon]}
         values |= {"solreflimit": model.tendon_solref_lim[tendon], "solimplimit": model.tendon_solimp_lim[tendon]}
         attributes["limited"] = "true"
-    element = ET.Element("fixed", attributes | {name: numbers(value) for name, value in values.items()})
+    element = ET.Element("fixed", attributes | {name: in_full(value) for name, value in values.items()})
     for joint, factor in path:
         if joint in joints:
-            ET.SubElement(element, "joint", {"joint": model.joint(joint).name, "coef": numbers(factor)})
+            ET.SubElement(element, "joint", {"joint": model.joint(joint).name, "coef": in_full(factor)})
     return element
+
+
+def add_contacts(source: Source, root: ET.Element) -> None:
+    """Add the primitive geoms that can touch to a template without fused bodies, in place."""
+    model = source.model
+    bodies = [root.find("worldbody"), *root.iterfind("./worldbody//body")]
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    for geom in range(model.ngeom):
+        if int(model.geom_type[geom]) in _SIZES and (
+            model.geom_contype[geom] | model.geom_conaffinity[geom] or geom in paired
+        ):
+            owner = bodies[int(model.geom_bodyid[geom])]
+            assert owner is not None
+            owner.append(_geom(model, geom))
+    ET.SubElement(root, "contact").extend([*_pairs(model), *_excludes(model)])
+
+
+def _geom(model: mujoco.MjModel, geom: int) -> ET.Element:
+    kind, size = _SIZES[int(model.geom_type[geom])]
+    values = {"size": model.geom_size[geom, :size], "pos": model.geom_pos[geom], "quat": model.geom_quat[geom]}
+    attributes = {"name": model.geom(geom).name} if model.geom(geom).name else {}
+    attributes |= {"type": kind} | {name: in_full(value) for name, value in values.items()}
+    return ET.Element("geom", attributes | {name: _value(getattr(model, f"geom_{name}")[geom]) for name in _SAID})
+
+
+def _pairs(model: mujoco.MjModel) -> Iterator[ET.Element]:
+    fields = ("friction", "solref", "solreffriction", "solimp", "margin", "gap")
+    for pair in range(model.npair):
+        names = {f"geom{end}": model.geom(getattr(model, f"pair_geom{end}")[pair]).name for end in (1, 2)}
+        attributes = {name: _value(getattr(model, f"pair_{name}")[pair]) for name in fields}
+        yield ET.Element("pair", names | {"condim": _value(model.pair_dim[pair])} | attributes)
+
+
+def _excludes(model: mujoco.MjModel) -> Iterator[ET.Element]:
+    for signature in model.exclude_signature:
+        first, second = int(signature) >> 16, int(signature) & 0xFFFF
+        yield ET.Element("exclude", {"body1": model.body(first).name, "body2": model.body(second).name})
+
+
+def _value(value: np.ndarray | np.number) -> str:
+    is_integer = np.issubdtype(np.asarray(value).dtype, np.integer)
+    return str(int(value)) if is_integer else in_full(np.asarray(value))

@@ -23,11 +23,6 @@ def is_dc_motor(model: mujoco.MjModel, index: int) -> bool:
     return int(model.actuator_dyntype[index]) == mujoco.mjtDyn.mjDYN_DCMOTOR
 
 
-def has_input(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether an actuator has a command."""
-    return int(model.actuator_ctrlnum[index]) > 0
-
-
 def why_not_linear(model: mujoco.MjModel, index: int) -> str | None:
     """Return the reason why a DC motor's torque without bristles is not linear in voltage and velocity, or None."""
     if int(model.actuator_ctrlspec[index]) & ~_UNCONTROLLED:

@@ -2,15 +2,15 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from typing import Any
 
 import mujoco
 
 from frictionzoo.bench.robot_file.source import Source
-from frictionzoo.bench.robot_file.tree import numbers
+from frictionzoo.bench.template import in_full
 
 _INTEGRATOR, _OFF = mujoco.mjtIntegrator, mujoco.mjtDisableBit
 _KEPT_FLAGS = {"gravity", "spring", "damper", "eulerdamp", "refsafe"}
-_CONTACT_FLAGS = {"filterparent"}
 _ASKED = {"constraint", "equality", "limit", "contact"}
 """Flags of constraint types that the bench omits if disabled."""
 _IDLE = {"warmstart", "sensor", "midphase", "autoreset", "nativeccd", "island", "multiccd"}
@@ -44,7 +44,7 @@ def write_option(source: Source, timestep: float | None, contacts: bool) -> ET.E
         values["impratio"] = option.impratio
         attributes["cone"] = "elliptic" if option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else "pyramidal"
     source.notes += [*_say_solver(option), *_say_contact_options(option, contacts)]
-    element = ET.Element("option", {name: numbers(value) for name, value in values.items()} | attributes)
+    element = ET.Element("option", {name: in_full(value) for name, value in values.items()} | attributes)
     flags = _flags(source, contacts)
     if flags:
         ET.SubElement(element, "flag", dict.fromkeys(flags, "disable"))
@@ -79,21 +79,21 @@ def _say_contact_options(option: mujoco.MjOption, contacts: bool) -> Iterator[st
         yield f"contact options left out: {', '.join(changed)}"
     if (option.wind != 0).any() and not (option.density > 0 or option.viscosity > 0):
         yield "option wind left out: there is no medium"
-    flags = [flag.name.removeprefix("mjENBL_").lower() for flag in _enabled(option)]
+    flags = _list_set(mujoco.mjtEnableBit, "mjENBL_", option.enableflags)
     if flags:
         yield f"flags left out: {', '.join(flags)}"
 
 
-def _enabled(option: mujoco.MjOption) -> list[mujoco.mjtEnableBit]:
-    flags = [flag for name, flag in mujoco.mjtEnableBit.__members__.items() if name.startswith("mjENBL")]
-    return [flag for flag in flags if option.enableflags & flag]
+def _list_set(bits: Any, prefix: str, value: int) -> list[str]:
+    """Return the names of the flags that are set in a value, as the MJCF has them."""
+    flags = {name: flag for name, flag in bits.__members__.items() if name.startswith(prefix)}
+    return [name.removeprefix(prefix).lower() for name, flag in flags.items() if value & flag]
 
 
 def _flags(source: Source, contacts: bool) -> list[str]:
     """Return the names of the flags that stay disabled; others are noted."""
-    flags = {name: flag for name, flag in _OFF.__members__.items() if name.startswith("mjDSBL")}
-    off = [name.removeprefix("mjDSBL_").lower() for name, flag in flags.items() if source.model.opt.disableflags & flag]
-    kept = _KEPT_FLAGS | (_CONTACT_FLAGS if contacts else set())
+    off = _list_set(_OFF, "mjDSBL_", source.model.opt.disableflags)
+    kept = _KEPT_FLAGS | ({"filterparent"} if contacts else set())
     reasons = {
         "frictionloss": "it would switch off the friction that is identified",
         "actuation": "it would switch off the drives",
@@ -102,5 +102,5 @@ def _flags(source: Source, contacts: bool) -> list[str]:
     absent = [flag for flag in off if flag in _ASKED]
     if absent:
         source.notes.append(f"flags {', '.join(absent)}=disable: the bench does not contain these effects")
-    assert not set(off) - _KEPT_FLAGS - _CONTACT_FLAGS - _ASKED - _IDLE - set(reasons) - {"clampctrl"}, off
+    assert not set(off) - _KEPT_FLAGS - _ASKED - _IDLE - set(reasons) - {"filterparent", "clampctrl"}, off
     return [flag for flag in off if flag in kept]

@@ -1,5 +1,6 @@
 """Reading of a robot's file, MJCF or URDF, for a bench."""
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,23 +10,22 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.compiled import can_collide
-from frictionzoo.bench.robot_file.actuator import ReadActuator, clip_range
-from frictionzoo.bench.robot_file.actuators import (
-    read_actuators,
-    read_armature,
-    read_damping,
-    read_friction,
-)
-from frictionzoo.bench.robot_file.choose import choose_joints, say_fixed
-from frictionzoo.bench.robot_file.couplings import add_equalities, add_tendons
-from frictionzoo.bench.robot_file.geoms import add_contacts
-from frictionzoo.bench.robot_file.links import Link
+from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping, read_friction
+from frictionzoo.bench.robot_file.controllers import ReadActuator, clip_range, range_of
+from frictionzoo.bench.robot_file.couplings import add_contacts, add_equalities, add_tendons
 from frictionzoo.bench.robot_file.options import acting, is_fluid, write_option
 from frictionzoo.bench.robot_file.source import Source, listed, load
-from frictionzoo.bench.robot_file.tree import Tree
+from frictionzoo.bench.robot_file.tree import Link, Tree
+from frictionzoo.bench.template import (
+    DEFAULT_SOLREFFRICTION,
+    Joints,
+    joint_type,
+    read_joints,
+    read_timestep,
+    refuse_other_order,
+)
 from frictionzoo.core.errors import ConfigError, closest
 
-_DEFAULT_SOLREF = (0.02, 1.0)
 _IMPLICIT = {mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST}
 
 
@@ -63,14 +63,14 @@ class RobotFile:
 
 def read_robot(
     source: str,
-    joint: str | int | Sequence[str | int] | None = None,
+    joint: Joints = None,
     *,
     base: str = "fixed",
     contacts: str = "leave_out",
     limits: str = "leave_out",
     others: str = "fixed",
     keep: Collection[str] = (),
-    timestep: float | None = None,
+    timestep: float | str | None = None,
 ) -> RobotFile:
     """Read a robot's file; for the options, see `Robot`.
 
@@ -83,22 +83,24 @@ def read_robot(
             the motion.
         ConfigError: An option has an invalid value.
     """
-    _refuse_other("base", base, ("as_is", "fixed"))
-    _refuse_other("others", others, ("as_is", "fixed"))
-    _refuse_other("contacts", contacts, ("keep", "leave_out"))
-    _refuse_other("limits", limits, ("keep", "leave_out"))
-    if timestep is not None and not timestep > 0:
-        raise ConfigError(f"bench.timestep={timestep}; expected a positive number of seconds, or null")
+    refuse_other("base", base, ("as_is", "fixed"))
+    refuse_other("others", others, ("as_is", "fixed"))
+    refuse_other("contacts", contacts, ("keep", "leave_out"))
+    refuse_other("limits", limits, ("keep", "leave_out"))
+    step = read_timestep(timestep)
     file = load(source)
-    joints = choose_joints(file, joint)
-    _refuse_unknown_bodies(file, keep)
-    say_fixed(file, joints, base, others)
+    joints = _choose_joints(file, joint)
+    bodies = [file.model.body(index).name for index in range(1, file.model.nbody)]
+    for name in keep:
+        if name not in bodies:
+            file.fail(f"no body {name}; {closest(name, filter(None, bodies))}")
+    _say_fixed(file, joints, base, others)
     apart = contacts == "keep" or is_fluid(file)
     tree = Tree(file, joints, keep, apart)
     _refuse_plugins(file, tree)
     values, bristles = _values(file, joints), read_friction(file, joints)
     actuators = read_actuators(file, joints)
-    root = _write(file, tree, joints, contacts == "keep", limits == "keep", timestep)
+    root = _write(file, tree, joints, contacts == "keep", limits == "keep", step)
     file.notes += _say_damped_limits(joints, actuators, file)
     return RobotFile(
         root,
@@ -106,7 +108,7 @@ def read_robot(
         values,
         bristles,
         actuators,
-        np.array([_limit(file.model, joint) for joint in joints]),
+        np.array([range_of(file.model.jnt_range[joint], file.model.jnt_limited[joint]) for joint in joints]),
         np.array([_force_limit(file, joint, read) for joint, read in zip(joints, actuators, strict=True)]),
         np.array([(np.nan, np.nan) if read is None else read.positions for read in actuators]),
         np.array([0.0 if read is None else read.delay for read in actuators]),
@@ -115,16 +117,73 @@ def read_robot(
     )
 
 
-def _refuse_other(option: str, value: str, choices: Sequence[str]) -> None:
+def refuse_other(option: str, value: str, choices: Sequence[str]) -> None:
+    """Refuse a value of an option that is none of the `choices`.
+
+    Raises:
+        ConfigError: The value is another.
+    """
     if value not in choices:
         raise ConfigError(f"bench.{option}={value}: no such choice; {closest(str(value), choices)}")
 
 
-def _refuse_unknown_bodies(file: Source, names: Collection[str]) -> None:
-    bodies = [file.model.body(index).name for index in range(1, file.model.nbody)]
-    for name in names:
-        if name not in bodies:
-            file.fail(f"no body {name}; {closest(name, filter(None, bodies))}")
+def _choose_joints(source: Source, joint: Joints) -> list[int]:
+    """Return the indices of the joints with these names or regular expressions of whole names, in MuJoCo's order."""
+    kinds = {index: joint_type(kind) for index, kind in enumerate(source.model.jnt_type)}
+    names = {source.model.joint(index).name: index for index, kind in kinds.items() if kind in ("hinge", "slide")}
+    if joint is None:
+        if "" in names:
+            source.fail("it has joints without a name, expected a name for each; list the joints in bench.joint")
+        wanted = [".*"]
+    else:
+        wanted = read_joints(joint)
+    if not names or not wanted:
+        source.fail(
+            "no hinge and no slide is chosen, expected joints that move; set bench.joint, or another bench.mjcf"
+        )
+    for name in wanted:
+        if name not in names and not _matching(name, names):
+            indices = [index for index in kinds if source.model.joint(index).name == name]
+            problem = (
+                f"joint {name} is a {kinds[indices[0]]} joint, expected a hinge or a slide"
+                if indices
+                else f"no joint {name}"
+            )
+            source.fail(f"{problem}; {closest(name, filter(None, names))}; set bench.joint")
+    refuse_other_order(source.path, [name for name in wanted if name in names], names)
+    return sorted({index for name in wanted for index in ([names[name]] if name in names else _matching(name, names))})
+
+
+def _matching(pattern: str, names: dict[str, int]) -> list[int]:
+    try:
+        return [index for name, index in names.items() if name and re.fullmatch(pattern, name)]
+    except re.error:
+        return []
+
+
+def _say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> None:
+    """Note the fixed joints, or refuse to fix them."""
+    model, fixed = source.model, [index for index in range(source.model.njnt) if index not in joints]
+    bases = [index for index in fixed if joint_type(model.jnt_type[index]) == "free"]
+    unchosen = [index for index in fixed if index not in bases]
+    if bases:
+        bodies = listed([source.name(int(model.jnt_bodyid[index])) for index in bases])
+        if base == "as_is":
+            source.fail(
+                f"bench.base=as_is: body {bodies} floats, and nothing holds it in rollouts; set bench.base=fixed"
+            )
+        source.notes.append(f"floating base: body {bodies} is fixed in its position and orientation from the file")
+    if unchosen:
+        names = listed([model.joint(index).name or f"number {index}" for index in unchosen])
+        if others == "as_is":
+            source.fail(
+                f"bench.others=as_is: {len(unchosen)} joints are not chosen ({names}); choose them or set it to fixed"
+            )
+        balls = sum(joint_type(model.jnt_type[index]) == "ball" for index in unchosen)
+        which = f", {balls} of them ball joints," if balls else ""
+        source.notes.append(
+            f"{len(unchosen)} joints are not chosen{which} and stand at their reference position: {names}"
+        )
 
 
 def _refuse_plugins(file: Source, tree: Tree) -> None:
@@ -140,16 +199,16 @@ def _values(file: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, 
     nonlinear = [model.joint(joint).name for joint in joints if model.jnt_stiffnesspoly[joint].any()]
     if nonlinear:
         file.notes.append(f"nonlinear springs of joint {listed(nonlinear)}: only the coefficient of qpos is kept")
-    soft = [model.joint(joint).name for joint in joints if tuple(model.dof_solref[file.dof(joint)]) != _DEFAULT_SOLREF]
+    pairs = zip(joints, dofs, strict=True)
+    soft = [model.joint(joint).name for joint, dof in pairs if tuple(model.dof_solref[dof]) != DEFAULT_SOLREFFRICTION]
     if soft:
-        stated = " ".join(f"{number:g}" for number in model.dof_solref[file.dof(joints[0])])
+        stated = " ".join(f"{number:g}" for number in model.dof_solref[dofs[0]])
         file.notes.append(
             f"solreffriction of joint {listed(soft)} ({stated}) left out: bench.solreffriction sets it for all joints"
         )
-    frictionloss = model.dof_frictionloss[dofs].copy()
     stated = {
         "armature": read_armature(file, joints),
-        "frictionloss": frictionloss,
+        "frictionloss": model.dof_frictionloss[dofs].copy(),
         "damping": read_damping(file, joints),
     }
     return {name: _at_least_zero(file, joints, name, values) for name, values in stated.items()}
@@ -203,21 +262,16 @@ def _say_left_out(file: Source, joints: Sequence[int], contacts: bool, limits: b
         )
 
 
-def _limit(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (np.nan, np.nan)
-    return float(low), float(high)
-
-
 def _force_limit(file: Source, joint: int, actuator: ReadActuator | None) -> tuple[float, float]:
     """Return the torque range of a joint: the actuator's range, clipped to the joint's `actuatorfrcrange`."""
     model, no_limit = file.model, (np.nan, np.nan)
-    low, high = map(float, model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else no_limit
-    if not np.isnan(low) and model.jnt_actgravcomp[joint]:
+    limit = range_of(model.jnt_actfrcrange[joint], model.jnt_actfrclimited[joint])
+    if not np.isnan(limit[0]) and model.jnt_actgravcomp[joint]:
         file.notes.append(
             f"actuatorfrcrange of joint {model.joint(joint).name}: ends the torque of the controller alone, without "
             "that of gravity compensation"
         )
-    return clip_range(no_limit if actuator is None else actuator.torques, (low, high))
+    return clip_range(no_limit if actuator is None else actuator.torques, limit)
 
 
 def _say_damped_limits(joints: Sequence[int], actuators: Sequence[ReadActuator | None], file: Source) -> Iterator[str]:

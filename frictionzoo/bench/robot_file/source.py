@@ -4,6 +4,7 @@ import contextlib
 import re
 import warnings
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,8 +14,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from frictionzoo.bench.robot_file.links import rotation
-from frictionzoo.bench.robot_file.urdf import clean
+from frictionzoo.bench.compiled import rotation
 from frictionzoo.core.errors import BenchError
 
 _LISTED = 6  # most names in a note
@@ -27,6 +27,10 @@ _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "
 """Attributes in which the words in `_NO_NUMBERS` may be names."""
 _IDLE_SECTIONS = {"asset", "custom", "keyframe", "sensor", "statistic", "visual"}
 _LEAST = 1e-13  # kg or kg m^2; MuJoCo's compiler refuses less
+_ONCE = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "inertial", "mass", "inertia", "geometry"}
+"""URDF elements that may occur once per parent; urdfdom reads the first of several, MuJoCo refuses the file."""
+_READ = {"link", "joint", "material", "mujoco"}
+_UNREAD_OF_JOINTS = {"safety_controller", "calibration"}
 
 
 @dataclass
@@ -169,11 +173,46 @@ def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.M
         return spec, False
     if root.tag != "robot":
         raise BenchError(f"{path}: <{root.tag}>, expected <mujoco> of an MJCF or <robot> of a URDF")
-    notes += clean(path, root)
+    notes += _clean(path, root)
     spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
     spec.modelfiledir = str(Path(path).parent)
     spec.compiler.fusestatic = False  # keeps the bodies' names; `Tree` fuses bodies
     return spec, True
+
+
+def _clean(path: str, root: ET.Element) -> Iterator[str]:
+    """Remove from a URDF, in place, elements that MuJoCo refuses or ignores; yield a note for each ignored kind."""
+    if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
+        raise BenchError(
+            f"{path}: it has xacro macros, expected a plain URDF; expand it first (xacro FILE > robot.urdf)"
+        )
+    yield from _take_first(root)
+    unread = [element for element in root if element.tag not in _READ]
+    if unread:
+        counts = Counter(element.tag for element in unread)
+        listing = ", ".join(f"{number} <{tag}>" for tag, number in counts.items())
+        yield f"left out, because MuJoCo does not read them in a URDF: {listing}"
+    for element in unread:
+        root.remove(element)
+    joints = root.findall("joint")
+    speeds = [joint for joint in joints for limit in joint.findall("limit") if limit.get("velocity")]
+    if speeds:
+        yield f"velocity limits of {len(speeds)} joints: MuJoCo has none"
+    others = Counter(child.tag for joint in joints for child in joint if child.tag in _UNREAD_OF_JOINTS)
+    for tag, number in others.items():
+        yield f"left out, because MuJoCo does not read them in a URDF: {number} <{tag}> of joints"
+
+
+def _take_first(root: ET.Element) -> Iterator[str]:
+    """Keep the first of several elements that may occur once, as URDF's reference reader (urdfdom) does."""
+    for owner in root.iter():
+        once = _ONCE & {"inertial"} if owner.tag == "link" else _ONCE  # a link may have several shapes
+        tags = set()
+        for child in list(owner):
+            if child.tag in tags and child.tag in once:
+                owner.remove(child)
+                yield f"a second <{child.tag}> of <{owner.tag} {owner.get('name', '')}> is left out"
+            tags.add(child.tag)
 
 
 def _leave_out(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -225,7 +264,8 @@ def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
             settled.absent[body] = missing[0].name if mesh is None else mesh.file
             settled.unlike[body] = 0.0, np.zeros((3, 3))
         elif giving:
-            _let_geoms_give(body)
+            _put_ones(body)
+            body.mass, body.explicitinertial, body.ipos = 0.0, False, [np.nan, 0.0, 0.0]
         elif not (compiler.boundmass > 0 and compiler.boundinertia > 0):
             mass, inertia = _explicit(body)
             if not _is_taken(mass, inertia, bool(body.joints), compiler.balanceinertia):
@@ -277,11 +317,6 @@ def _is_taken(mass: float, inertia: Float[np.ndarray, "3 3"], moves: bool, balan
         return not moves
     least, middle, most = map(float, principal)
     return mass > _LEAST and least > _LEAST and (balanced or least + middle >= most)
-
-
-def _let_geoms_give(body: mujoco.MjsBody) -> None:
-    _put_ones(body)
-    body.mass, body.explicitinertial, body.ipos = 0.0, False, [np.nan, 0.0, 0.0]
 
 
 def _put_ones(body: mujoco.MjsBody) -> None:

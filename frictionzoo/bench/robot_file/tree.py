@@ -1,22 +1,62 @@
-"""MJCF bodies of a robot with some joints fixed; bodies that move together are fused."""
+"""MJCF bodies of a robot with some joints fixed; bodies that move together are fused into rigid links."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
-from frictionzoo.bench.robot_file.links import HERE, LEAST, Link, Place, add_up, physical
+from frictionzoo.bench.compiled import add_up, principal_axes, rotation
 from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.bench.template import in_full, joint_type
 
-_KINDS = {int(mujoco.mjtJoint.mjJNT_HINGE): "hinge", int(mujoco.mjtJoint.mjJNT_SLIDE): "slide"}
-_SOLREF, _SOLIMP = np.array([0.02, 1.0]), np.array([0.9, 0.95, 0.001, 0.5, 2.0])
-"""MuJoCo's defaults, which the MJCF omits."""
+_SOLIMP = np.array([0.9, 0.95, 0.001, 0.5, 2.0])  # MuJoCo's default, which the MJCF omits
+_LEAST = 1e-14
+"""Mass [kg] and inertia [kg m^2] of a moving link without any: MuJoCo requires some, and these have no effect."""
+_UNPHYSICAL = 1e-9  # violation of the triangle inequality that counts as rounding, relative to the largest inertia
 
 
-def numbers(values: float | np.ndarray) -> str:
-    """Return numbers as MJCF text at full precision."""
-    return " ".join(repr(float(value)) for value in np.atleast_1d(values))
+@dataclass(frozen=True)
+class Link:
+    """Rigid group of the file's bodies `fused`, in the frame of the first, whose name may be empty.
+
+    Mass [kg], centre [m] and inertia about it in the body's axes [kg m^2] come from the file and may be unphysical.
+    """
+
+    name: str
+    fused: tuple[str, ...]
+    mass: float
+    centre: Float[np.ndarray, "3"]
+    inertia: Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Position and orientation of a frame in another frame."""
+
+    position: Float[np.ndarray, "3"]
+    quaternion: Float[np.ndarray, "4"]
+
+    def of(self, inner: "Place") -> "Place":
+        """Return the place of a frame that has the place `inner` in this frame."""
+        quaternion = np.zeros(4)
+        mujoco.mju_mulQuat(quaternion, self.quaternion, inner.quaternion)
+        return Place(self.point(inner.position), quaternion)
+
+    def point(self, inside: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Return the coordinates in the outer frame of a point given in this frame."""
+        return self.position + rotation(self.quaternion) @ inside
+
+    def turned(self, inertia: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """Return an inertia, given in this frame's axes, in the outer frame's axes."""
+        axes = rotation(self.quaternion)
+        return axes @ inertia @ axes.T
+
+
+HERE = Place(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+"""Identity: place of a frame in itself."""
 
 
 class Tree:
@@ -63,9 +103,9 @@ class Tree:
 
     def _body(self, body: int, link: Link, place: Place, limits: bool) -> ET.Element:
         model = self._source.model
-        attributes = {"pos": numbers(place.position), "quat": numbers(place.quaternion)}
+        attributes = {"pos": in_full(place.position), "quat": in_full(place.quaternion)}
         if model.body_gravcomp[body]:
-            attributes["gravcomp"] = numbers(model.body_gravcomp[body])
+            attributes["gravcomp"] = in_full(model.body_gravcomp[body])
         element = ET.Element("body", ({"name": link.name} if link.name else {}) | attributes)
         element.extend(self._joint(joint, limits) for joint in self._joints if model.jnt_bodyid[joint] == body)
         if link.mass > 0 or link.inertia.any() or body in self._jointed:
@@ -74,10 +114,10 @@ class Tree:
 
     def _say_massless(self) -> Iterator[str]:
         jointed = [link for body, link in zip(self._bodies(), self.links, strict=True) if body in self._jointed]
-        massless = [link.name for link in jointed if link.mass < LEAST or np.linalg.norm(link.inertia) < LEAST]
+        massless = [link.name for link in jointed if link.mass < _LEAST or np.linalg.norm(link.inertia) < _LEAST]
         if massless:
             yield (
-                f"{len(massless)} moving links have no mass or no inertia ({listed(massless)}): they get {LEAST:g} kg "
+                f"{len(massless)} moving links have no mass or no inertia ({listed(massless)}): they get {_LEAST:g} kg "
                 "and kg m^2, which MuJoCo requires"
             )
 
@@ -124,7 +164,7 @@ class Tree:
             principal, quaternion = model.body_inertia[body], model.body_iquat[body]
         else:
             centre = link.centre
-            mass, principal, quaternion, changed = physical(link.mass, link.inertia)
+            mass, principal, quaternion, changed = _physical(link.mass, link.inertia)
             if changed:
                 moments = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(link.inertia))
                 self._source.notes.append(
@@ -132,7 +172,7 @@ class Tree:
                     f"which MuJoCo refuses: taken as {', '.join(f'{moment:.3g}' for moment in np.sort(principal))}"
                 )
         inertial = {"pos": centre, "quat": quaternion, "mass": mass, "diaginertia": principal}
-        return ET.Element("inertial", {name: numbers(value) for name, value in inertial.items()})
+        return ET.Element("inertial", {name: in_full(value) for name, value in inertial.items()})
 
     def _joint(self, joint: int, limits: bool) -> ET.Element:
         model, dof = self._source.model, self._source.dof(joint)
@@ -147,10 +187,25 @@ class Tree:
         if limits and model.jnt_limited[joint]:
             values |= {"range": model.jnt_range[joint], "margin": model.jnt_margin[joint]}
             values |= {"solreflimit": model.jnt_solref[joint], "solimplimit": model.jnt_solimp[joint]}
-        attributes = {"name": model.joint(joint).name, "type": _KINDS[int(model.jnt_type[joint])]}
-        attributes |= {name: numbers(value) for name, value in values.items()}
+        attributes = {"name": model.joint(joint).name, "type": joint_type(model.jnt_type[joint])}
+        attributes |= {name: in_full(value) for name, value in values.items()}
         if limits and model.jnt_limited[joint]:
             attributes["limited"] = "true"
         if model.jnt_actgravcomp[joint]:
             attributes["actuatorgravcomp"] = "true"
         return ET.Element("joint", attributes)
+
+
+def _physical(
+    mass: float, inertia: Float[np.ndarray, "3 3"]
+) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "4"], bool]:
+    """Return mass [kg], principal inertia [kg m^2] and quaternion of a physical body, and whether they were corrected.
+
+    The second moments of mass along the principal axes must be positive; others are raised to nearly 0.
+    """
+    principal, quaternion = principal_axes((inertia + inertia.T) / 2)
+    moments = principal.sum() / 2 - principal
+    changed = bool(mass < 0 or moments.min() < -max(_UNPHYSICAL * abs(principal).max(), _LEAST))
+    first, second, third = np.maximum(moments, _LEAST / 2)
+    # With these sums, the largest is at most the sum of the others in floating point too.
+    return max(mass, _LEAST), np.array([second + third, first + third, first + second]), quaternion, changed
