@@ -23,11 +23,10 @@ from frictionzoo.api.identified import Identified
 from frictionzoo.bench.compiled import INERTIAL
 from frictionzoo.core.errors import ExportError, FrictionzooError
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import measure
+from frictionzoo.export.base import Written, measure
 from frictionzoo.export.motor import aim, lag, motors, read_inputs
 from frictionzoo.export.simulate import commands_before
 from frictionzoo.export.write import write_exports
-from frictionzoo.export.written import Written
 
 ROLLED = Path(__file__).parent / "rolled"
 COLUMNS = {

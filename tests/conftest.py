@@ -33,7 +33,7 @@ from frictionzoo.core.state import Signals
 from frictionzoo.fit.objective import Objective
 from frictionzoo.identification import Problem
 from frictionzoo.models.by_name import complete_laws
-from frictionzoo.report import comparison_figures, with_matplotlib
+from frictionzoo.report import with_matplotlib
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.curves import Curves
 from frictionzoo.simulation.base import FORWARD
@@ -253,8 +253,7 @@ def render_nothing(patch: pytest.MonkeyPatch) -> None:
 
     Not while `finished_run` makes a run, which is everybody's.
     """
-    for module in (with_matplotlib, comparison_figures):
-        patch.setattr(module, "save_figure", lambda figure, path: None)
+    patch.setattr(with_matplotlib, "save_figure", lambda figure, path: None)
 
 
 @pytest.fixture

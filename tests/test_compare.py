@@ -310,7 +310,7 @@ def test_a_missing_file_is_said(zoo):
 def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, monkeypatch):
     monkeypatch.chdir(zoo.parent)
     drawn = []
-    figures = "frictionzoo.report.comparison_figures.write_figures"
+    figures = "frictionzoo.report.comparison_plots.write_figures"
     monkeypatch.setattr(figures, lambda folder, *_: drawn.append(str(folder)))
     main(["sweep"])
     written = json.loads(Path("sweep/comparison/comparison.json").read_text())

@@ -13,8 +13,7 @@ from matplotlib.image import imread
 
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.output import write_atomically
-from frictionzoo.report.comparison_figures import arrange, write_figures
-from frictionzoo.report.comparison_plots import choose_looks
+from frictionzoo.report.comparison_plots import arrange, choose_looks, write_figures
 from frictionzoo.report.with_matplotlib import draw, save_figure
 from frictionzoo.result.comparison.record import compare_runs, read_schema
 from frictionzoo.result.evaluate import moving_mean_and_std
@@ -278,8 +277,8 @@ def test_awkward_runs_are_drawn(make_runs, monkeypatch, tmp_path, labels, lost, 
         flat(figure).draw_without_rendering()
         path.touch()
 
-    monkeypatch.setattr("frictionzoo.report.comparison_figures.save_figure", save)
-    monkeypatch.setattr("frictionzoo.report.comparison_figures.FORMATS", ("png",))
+    monkeypatch.setattr("frictionzoo.report.with_matplotlib.save_figure", save)
+    monkeypatch.setattr("frictionzoo.report.comparison_plots.FORMATS", ("png",))
     runs = make_runs(labels, joints, diverged=lost)
     write_atomically(tmp_path / "differences.png", b"of an older comparison")
     comparison = compare(runs)
@@ -330,7 +329,7 @@ def test_files_are_whole_and_the_same_each_time(runs, comparison, monkeypatch, t
     def save(figure, path):
         save_figure(flat(figure), path) if path.suffix == ".png" or path.stem in printed else path.touch()
 
-    monkeypatch.setattr("frictionzoo.report.comparison_figures.save_figure", save)
+    monkeypatch.setattr("frictionzoo.report.with_matplotlib.save_figure", save)
     write_figures(tmp_path / "first", comparison, runs)
     assert dict(matplotlib.rcParams) == before
     paths = sorted(path for path in (tmp_path / "first").iterdir() if path.name != MANIFEST)

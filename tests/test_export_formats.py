@@ -28,12 +28,11 @@ from frictionzoo.core.log import Payload
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
-from frictionzoo.export.base import get_target
+from frictionzoo.export.base import Export, get_target
 from frictionzoo.export.isaaclab import IsaacLab
 from frictionzoo.export.mjlab import Mjlab
 from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.export.written import Export
 from frictionzoo.models import FrictionModel, get_model, model_names
 from frictionzoo.models.by_name import complete_laws
 

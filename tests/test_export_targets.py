@@ -27,19 +27,17 @@ from frictionzoo.core.log import Payload
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
-from frictionzoo.export.base import get_target, target_names
+from frictionzoo.export.base import Written, get_target, target_names
 from frictionzoo.export.bench import Mjcf, write_bench
 from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
-from frictionzoo.export.mujoco_c import MujocoC
-from frictionzoo.export.native import run_native, write_native
+from frictionzoo.export.mujoco_c import MujocoC, run_native, write_native
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.sdf import Sdf
 from frictionzoo.export.simulate import run_loaded
 from frictionzoo.export.skeleton import DRAKE
 from frictionzoo.export.urdf import Urdf
 from frictionzoo.export.write import summarise_exports, write_exports
-from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.by_name import complete_laws

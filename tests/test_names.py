@@ -40,7 +40,7 @@ from frictionzoo.design.write import table
 from frictionzoo.export.base import get_target, match_joint, target_names
 from frictionzoo.export.in_place import InPlace
 from frictionzoo.export.module import write_module
-from frictionzoo.export.native import write_native
+from frictionzoo.export.mujoco_c import write_native
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models import Dahl, MujocoDefault
 from frictionzoo.report.card.write import write_card

@@ -129,8 +129,7 @@ class RandomSearch(Search):
         return jax.random.uniform(jax.random.fold_in(jax.random.key(0), iteration), low.shape, low.dtype, low, high)
 '''
 TARGET = '''
-from frictionzoo.export.base import Target, register_target
-from frictionzoo.export.written import Export
+from frictionzoo.export.base import Export, Target, register_target
 
 @register_target("sheet")
 class Sheet(Target):

@@ -26,11 +26,10 @@ from frictionzoo.cli.finished import export as main
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.export import nearest as refit
-from frictionzoo.export.events import ISAAC_LAB, MJLAB, write_events
+from frictionzoo.export.base import Written
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.export.randomisation import write_files
+from frictionzoo.export.randomisation import ISAAC_LAB, MJLAB, write_events, write_files
 from frictionzoo.export.variants import Quantity, Range, draw_variants
-from frictionzoo.export.written import Written
 
 ROOT = Path(__file__).parent.parent
 EXACT = 1e-9  # rad; rounding of some hundred steps stays far below

@@ -73,7 +73,7 @@ def test_a_failing_job_does_not_end_the_others(
 
     monkeypatch.setattr("frictionzoo.cli.job.run_job", run_job)
     # Most of a comparison's time.
-    monkeypatch.setattr("frictionzoo.report.comparison_figures.write_figures", lambda *_: None)
+    monkeypatch.setattr("frictionzoo.report.comparison_plots.write_figures", lambda *_: None)
     finished = call(*SWEEP, *tiny, "fit=lm", "fit.iterations=3", "model=baseline,neural_friction,coulomb_smooth")
     assert finished.status == 2
     assert [(tmp_path / "sweep" / job / "result.json").exists() for job in jobs] == [True, False, True]
@@ -171,7 +171,7 @@ def test_a_stopped_sweep_goes_on_with_what_is_missing(
         return json.loads((folder / "result.json").read_text()), None
 
     monkeypatch.setattr("frictionzoo.cli.job.run_job", run_job)
-    monkeypatch.setattr("frictionzoo.report.comparison_figures.write_figures", lambda *_: None)
+    monkeypatch.setattr("frictionzoo.report.comparison_plots.write_figures", lambda *_: None)
     finished = call(*RUNS["sweep"], *tiny, "hydra.sweep.dir=sweep", "resume=true")
     assert finished.status == 0, finished.err
     assert done == ["coulomb_smooth"] and "0_baseline: result exists" in finished.err

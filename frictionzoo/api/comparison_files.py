@@ -44,8 +44,8 @@ def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -
         OutputError: A file cannot be written.
     """
     # Imported late: a comparison without files needs no plotting libraries.
-    from frictionzoo.report.comparison_figures import write_figures
     from frictionzoo.report.comparison_page import write_page
+    from frictionzoo.report.comparison_plots import write_figures
     from frictionzoo.report.latex import tabulate_latex
 
     with claim(output, "comparison", FILES):

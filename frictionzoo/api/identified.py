@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from frictionzoo import __version__
 from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically, write_json
-from frictionzoo.export.written import Written
+from frictionzoo.export.base import Written
 from frictionzoo.result.curves import write_curves
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.read_back import LAW

@@ -92,7 +92,7 @@ def design(arguments: Sequence[str] | None = None) -> None:
     with _checked([*map(Path, runs)], [text for text in parsed.options if "=" in text], "velocity=4") as options:
         from frictionzoo.api.design import design_recording
         from frictionzoo.core.output import refuse_existing
-        from frictionzoo.report.design_terminal import summarise_excitation
+        from frictionzoo.report.terminal import summarise_excitation
         from frictionzoo.result.fitted_drive import FittedDrive
 
         run = FittedDrive.load(Path(runs[0])) if runs else None

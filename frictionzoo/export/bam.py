@@ -17,11 +17,10 @@ from frictionzoo.bench.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
-from frictionzoo.export.base import Target, measure, register_target
+from frictionzoo.export.base import Difference, Export, Target, measure, register_target
 from frictionzoo.export.graph import compare
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.export.simulate import Step, simulate, step_with_control
-from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.result.fitted_drive import FittedDrive
 
@@ -50,7 +49,9 @@ class Bam(Target):
             actual = f"the bench's actuator is a {type(fitted.bench.actuator).__name__}"
             raise ExportError(f"target=bam: {actual}, expected a VoltageServo; write target=mjcf")
         actuator, actuator_remarks = _choose_actuator(fitted, options)
-        laws, law_remarks = _to_bam(fitted)
+        laws, law_remarks, lacks = _to_bam(fitted)
+        if fitted.values["bench"]["duty_limit"][0] != DUTY[actuator][1]:
+            lacks.append(f"duty cycles end at {DUTY[actuator][1]:g}")
         # A joint's name may contain "/", a file name may not.
         prefixes = [f"{quote(name, safe='')}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
         files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
@@ -64,7 +65,7 @@ class Bam(Target):
             parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
             write_atomically(folder / file, (json.dumps(parameters, indent=4) + "\n").encode())
         limits = (*law_remarks, *actuator_remarks, _KT, _INPUTS)
-        return Export(files, _compare(fitted, [folder / file for file in files], _lack(fitted, actuator)), limits)
+        return Export(files, _compare(fitted, [folder / file for file in files], ", ".join(lacks)), limits)
 
 
 def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
@@ -91,16 +92,20 @@ def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> Frictio
     return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), values["friction_viscous"]))
 
 
-def _to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str]]:
-    joints = range(fitted.bench.nv)
-    laws = [_rename(fitted, joint) for joint in joints]
-    smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH and laws[j] is not None for j in joints)
-    others = [joint for joint in joints if laws[joint] is None]
-    remarks = [_STICKS] if smooth else []
+def _to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str], list[str]]:
+    """Return BAM's parameters of each joint, remarks, and in a few words each why BAM moves differently."""
+    laws = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
+    names = [fitted.model.of_joint(joint)[0].name for joint in range(fitted.bench.nv)]
+    others = [joint for joint, law in enumerate(laws) if law is None]
+    remarks, lacks = list[str](), ["friction follows the torques of the step before"]
+    lacks += [f"m3 is no {name}" for name in dict.fromkeys(names[joint] for joint in others)]
+    if any(name in _SMOOTH and law for name, law in zip(names, laws, strict=True)):
+        remarks.append(_STICKS)
+        lacks.append("it sticks at rest")
     if others:
         nearest, nearest_remarks = _nearest(fitted, others)
         laws, remarks = [law or nearest[joint] for joint, law in enumerate(laws)], [*nearest_remarks, *remarks]
-    return [law for law in laws if law], remarks
+    return [law for law in laws if law], remarks, lacks
 
 
 def _rename(fitted: FittedDrive, joint: int) -> dict[str, Any] | None:
@@ -170,19 +175,6 @@ def _choose_actuator(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[s
     if limit != DUTY[chosen][1]:
         remarks.append(f"BAM's {chosen} limits the duty cycle to {DUTY[chosen][1]:g}, not {limit:g}.")
     return chosen, remarks
-
-
-def _lack(fitted: FittedDrive, actuator: str) -> str:
-    """Describe in a few words why BAM moves differently from the drive."""
-    laws = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
-    missing = dict.fromkeys(fitted.model.of_joint(j)[0].name for j, law in enumerate(laws) if law is None)
-    smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH for j, law in enumerate(laws) if law)
-    reasons = ["friction follows the torques of the step before", *(f"m3 is no {name}" for name in missing)]
-    reasons += ["it sticks at rest"] if smooth else []
-    limit = DUTY[actuator][1]
-    return ", ".join(
-        reasons + ([f"duty cycles end at {limit:g}"] if fitted.values["bench"]["duty_limit"][0] != limit else [])
-    )
 
 
 def _compare(fitted: FittedDrive, paths: list[Path], reason: str) -> tuple[Difference, ...]:

@@ -11,13 +11,13 @@ import numpy as np
 
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import write_literal
-from frictionzoo.export.base import Target, measure
+from frictionzoo.export.base import Export, Target, measure
 from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, list_lacks, motors, read_inputs, run_joints, say_common
 from frictionzoo.export.nearest import Nearest, find_nearest
-from frictionzoo.export.written import Export
 from frictionzoo.result.fitted_drive import FittedDrive
 
-_LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
+LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
+"""Attributes of a `Motor` that limit its torque."""
 
 
 class Field(NamedTuple):
@@ -86,7 +86,7 @@ class ConfigFile(Target):
         fields: dict[str, Any] = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
         *friction, delay = self.keywords
         armature, loss, damping = (float(fields[name]) for name in friction)
-        motor = Motor(fields["stiffness"], fields["damping"], **{k: fields[k] for k in _LIMITS if k in fields})
+        motor = Motor(fields["stiffness"], fields["damping"], **{k: fields[k] for k in LIMITS if k in fields})
         return Joint(motor, armature, loss, damping, fields.get(delay, 0))
 
 
@@ -101,7 +101,7 @@ def list_motor(fitted: FittedDrive, motor: Motor) -> list[Field]:
         limited = np.isfinite(motor.effort_limit)
         return gains + ([Field("effort_limit", motor.effort_limit, units["torque"])] if limited else [])
     limit_units = (f"{units['torque']}, at standstill", f"{units['velocity']}, without load", units["torque"])
-    return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(_LIMITS, limit_units, strict=True)]
+    return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(LIMITS, limit_units, strict=True)]
 
 
 def list_delay(fitted: FittedDrive, joint: int, *names: str) -> list[Field]:

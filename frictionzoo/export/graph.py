@@ -15,9 +15,8 @@ from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import Target, measure
+from frictionzoo.export.base import Difference, Export, Target, measure
 from frictionzoo.export.nearest import evaluate_law
-from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.result.fitted_drive import FittedDrive
 

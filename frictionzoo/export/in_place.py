@@ -91,7 +91,7 @@ class InPlace:
     def remove(self, tag: Tag) -> None:
         """Remove an element and its content, and the line if it becomes empty."""
         end = self._end(tag)
-        line = re.search(rb"\r?\n[ \t]*\Z", self.content[: tag.start])
+        line = _LAST_LINE.search(self.content[: tag.start])
         alone = line and re.match(rb"[ \t]*\r?\n", self.content[end:])
         self.changes.append((line.start() if line and alone else tag.start, end, b""))
 

@@ -14,11 +14,10 @@ from mujoco import mjx
 
 from frictionzoo.core.state import Signals
 from frictionzoo.core.templates import Code
-from frictionzoo.export.base import Target, measure, register_target
+from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
 from frictionzoo.export.simulate import PAYLOADS, commands_before
-from frictionzoo.export.written import Export
 from frictionzoo.result.fitted_drive import FittedDrive
 
 

@@ -13,7 +13,7 @@ from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import Code, open_template
 from frictionzoo.export.graph import signals
-from frictionzoo.export.source import merge, read_source, write_values
+from frictionzoo.export.source import Source, read_source, write_values
 from frictionzoo.models import TorchFriction
 from frictionzoo.result.fitted_drive import FittedDrive
 
@@ -51,7 +51,9 @@ def _describe(fitted: FittedDrive, values: Code, weights: bool) -> Mapping[str, 
     model = fitted.model
     law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
     actuator = read_source(fitted.bench.actuator, "control")
-    shared = merge(law, actuator)
+    shared = Source()
+    shared.take(law)
+    shared.take(actuator)
     return {
         "units": {dimension: Code(unit) for dimension, unit in UNITS[fitted.bench.joint_type].items()},
         "imports": [Code(text) for text in shared.imports.values() if text != "import numpy as np"],

@@ -1,26 +1,32 @@
 """Target `mujoco`: a Python module with the friction model inside MuJoCo's step."""
 
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.bench.template import in_full
+from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.state import Signals
 from frictionzoo.core.templates import Code
-from frictionzoo.export.base import Target, measure, register_target
+from frictionzoo.core.xml import write_xml
+from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.bench import say_limits
 from frictionzoo.export.module import controls, load_module, write_module
-from frictionzoo.export.native import REASON, run_native, write_native
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.export.simulate import PAYLOADS, commands_before, simulate
-from frictionzoo.export.written import Export
+from frictionzoo.export.simulate import PAYLOADS, commands_before, run_loaded, simulate
+from frictionzoo.export.skeleton import find_free_name
 from frictionzoo.result.fitted_drive import FittedDrive
 
 MODULE, BENCH = "drive.py", "bench.xml"
 FORMS = ("module", "native")
+LAWS = ("lugre", "dahl")  # friction models of MuJoCo's dcmotor
+REASON = "MuJoCo takes the bristles' torque at a step's beginning, the drive at its end"
+_NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, no command
 
 
 @register_target("mujoco")
@@ -62,6 +68,54 @@ def _write_native(fitted: FittedDrive, folder: Path) -> Export:
     ]
     exact = Nearest(dict(fitted.values["bench"]), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
     return Export((BENCH,), (difference,), (*limits, *say_limits(fitted, exact)))
+
+
+def write_native(fitted: FittedDrive) -> str:
+    """Write the bench's MJCF with MuJoCo's damping, and for each joint a `dcmotor` with the friction model as `lugre`.
+
+    Both have the same equations, and integrate the deflection exactly for a constant velocity within a step.
+
+    Source: see the friction model; MuJoCo documentation, XML reference, `actuator/dcmotor`.
+
+    Raises:
+        ExportError: MuJoCo has no such friction model.
+    """
+    model, bench = fitted.model, fitted.bench
+    if model.name not in LAWS:
+        raise ExportError(f"law=native: MuJoCo has no {model.name}, expected {' or '.join(LAWS)}; leave law out")
+    values = fitted.values["friction"]
+    by_joint = {name: values[name][param.members(bench.nv)] for name, param in model.params.items()}
+    remark = f"{model.name}: by MuJoCo's dcmotor, whose act is the bend of the bristles, and damping. {REASON}."
+    root = ET.fromstring(
+        bench.mjcf(fitted.values["bench"], None, by_joint["viscous_coefficient"], (remark,), limited=True)
+    )
+    section = root.find("actuator")
+    assert section is not None
+    taken = set(bench.joints)
+    for joint, name in enumerate(bench.joints):
+        numbers = " ".join(map(in_full, _lugre(by_joint, joint)))
+        actuator = find_free_name(f"{name}_friction", taken)
+        ET.SubElement(section, "dcmotor", {"name": actuator, "joint": name, **_NO_WINDING, "lugre": numbers})
+    return write_xml(root)
+
+
+def _lugre(values: Mapping[str, Float[np.ndarray, "nv"]], joint: int) -> list[float]:
+    """Return bristle stiffness and damping, kinetic and static torque (equal for `dahl`), and Stribeck velocity."""
+    torques = [name if name in values else "coulomb_torque" for name in ("kinetic_torque", "static_torque")]
+    numbers = [values[name][joint] if name in values else 0.0 for name in ("stiffness", "micro_damping", *torques)]
+    return [*map(float, numbers), float(values["stribeck_velocity"][joint]) if "stribeck_velocity" in values else 1.0]
+
+
+def run_native(text: str, fitted: FittedDrive) -> Float[np.ndarray, "batch time nv"]:
+    """Simulate the long test rollouts in MuJoCo C from the friction model's initial deflection; return positions."""
+    segments, bench = fitted.segments, fitted.bench
+    initial = fitted.samples.map(lambda signal: signal.reshape(segments.count, segments.length, bench.nv)[:, 0])
+    deflection = fitted.model.settle(np, fitted.values["friction"], initial)[..., 0]
+
+    def begin(data: mujoco.MjData, rollout: int) -> None:
+        data.act[:] = deflection[rollout]
+
+    return run_loaded(mujoco.MjModel.from_xml_string(text), fitted, begin=begin)
 
 
 def write_bare_bench(fitted: FittedDrive, frictionloss: np.ndarray | None = None) -> str:

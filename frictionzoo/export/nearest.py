@@ -98,9 +98,7 @@ def find_nearest_each(fitted: FittedDrive, draws: Sequence[Values]) -> list[Near
     instant = samples.map(lambda signal: signal[:1])
     drives = []
     for values in draws:
-        _, loss, viscous = (
-            np.zeros(instant.qvel.shape) if t is None else t for t in evaluate_law(model, instant, values)
-        )
+        _, loss, viscous = _find_exact(evaluate_law(model, instant, values), instant.qvel)
         drives.append(_take_exact(model, dict(values["bench"]), loss[0], viscous[0]))
     return drives if exact.all() else _refit_each(fitted, drives, draws, exact)
 
@@ -136,7 +134,7 @@ def _refit_each(
             armature, loss, damping = _read(objective, vector)
             pairs = ((initial.bench["armature"], armature), (initial.frictionloss, loss), (initial.damping, damping))
             armature, loss, damping = (np.where(exact, drawn, refitted) for drawn, refitted in pairs)
-            texts = _say_drawn(fitted, rms, exact), _lack(fitted, exact)
+            texts = _say(fitted, "drawn", rms, exact), _lack(fitted, exact)
             drives.append(Nearest({**initial.bench, "armature": armature}, loss, damping, *texts))
     return drives
 
@@ -222,7 +220,12 @@ def _refit(
         values = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
     bench, friction = dict(values["bench"]), values["friction"]
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
-    remark = _say(fitted, bench["armature"], before, after, exact)
+    identified, units = fitted.values["bench"]["armature"], UNITS[fitted.bench.joint_type]
+    details = (
+        f" ({before:.3g} {units['position']} with the friction nearest to the law's torque); armature "
+        f"{_list(bench['armature'][~exact])} instead of {_list(identified[~exact])} {units['inertia']}"
+    )
+    remark = _say(fitted, "fitted", after, exact, details)
     return Nearest(bench, friction["frictionloss"], friction["damping"], remark, _lack(fitted, exact))
 
 
@@ -251,16 +254,12 @@ def _pose(
     return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False), rollout
 
 
-def _say(
-    fitted: FittedDrive, armature: Float[np.ndarray, "nv"], before: float, after: float, exact: Bool[np.ndarray, "nv"]
-) -> str:
-    identified, units = fitted.values["bench"]["armature"], UNITS[fitted.bench.joint_type]
-    unit, inertia = units["position"], units["inertia"]
+def _say(fitted: FittedDrive, whose: str, rms: float, exact: Bool[np.ndarray, "nv"], details: str = "") -> str:
+    """Describe the refit to the rollouts of the `fitted` or a `drawn` drive, and the remaining distance."""
     return (
         f"A frictionloss and a damping are no {_name(fitted, exact)}: they and the armature were refitted to the "
-        f"fitted drive's own {fitted.over} and leave a position difference of {after:.3g} {unit} RMS ({before:.3g} "
-        f"{unit} with the friction nearest to the law's torque); armature {_list(armature[~exact])} instead of "
-        f"{_list(identified[~exact])} {inertia}.{_say_others(fitted.model, exact)}"
+        f"{whose} drive's own {fitted.over} and leave a position difference of {rms:.3g} "
+        f"{UNITS[fitted.bench.joint_type]['position']} RMS{details}.{_say_others(fitted.model, exact)}"
     )
 
 
@@ -275,15 +274,6 @@ def _take_exact(
 
 def _lack(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"]) -> str:
     return f"frictionloss and damping are no {_name(fitted, exact)}"
-
-
-def _say_drawn(fitted: FittedDrive, rms: float, exact: Bool[np.ndarray, "nv"]) -> str:
-    unit = UNITS[fitted.bench.joint_type]["position"]
-    return (
-        f"A frictionloss and a damping are no {_name(fitted, exact)}: they and the armature were refitted to the drawn "
-        f"drive's own {fitted.over} and leave a position difference of {rms:.3g} {unit} RMS."
-        f"{_say_others(fitted.model, exact)}"
-    )
 
 
 def _name(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"]) -> str:

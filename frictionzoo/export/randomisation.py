@@ -1,7 +1,8 @@
 """Target `randomisation`: drives drawn within the uncertainty of the identification, for training a policy."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -11,25 +12,32 @@ import numpy as np
 from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import Target, measure, read_number, register_target
+from frictionzoo.core.templates import Code
+from frictionzoo.export.base import Difference, Export, Target, match_joint, measure, read_number, register_target
 from frictionzoo.export.bench import say_limits, write_bench
-from frictionzoo.export.events import ISAAC_LAB, MJLAB, OPERATIONS, write_events
+from frictionzoo.export.configclass import LIMITS
+from frictionzoo.export.module import render
 from frictionzoo.export.motor import INPUTS, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, find_nearest_each
 from frictionzoo.export.robot import ACTUATORS, put_into
 from frictionzoo.export.simulate import run_loaded
 from frictionzoo.export.variants import Quantity, Ranges, Variants, draw_variants, list_quantities, read_ranges
-from frictionzoo.export.written import Difference, Export
 from frictionzoo.result.fitted_drive import FittedDrive
 
 SAMPLES, FOLDER, NOMINAL = "samples.npz", "samples", "nominal"
 _COUNT, _FILES, _MOST = 256, 8, 100_000
 _OFFSETS = ("position_offset", "torque_offset")
-_LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
-
 _WHOLE = 1e-6  # rounding tolerance, as a share of a step
 Drive = tuple[FittedDrive, Nearest]
 """A drive, and the same with MuJoCo's joint friction."""
+OPERATIONS = ("abs", "scale")
+GAINS = ("actuator.stiffness", "actuator.damping")
+FRICTION = ("joint.static_friction", "joint.frictionloss", "joint.damping")
+_ENTITY = "Set ENTITY and JOINTS to the names in your scene."
+_MEANING = (
+    "A 95 % interval says how well these recordings fix a value of this law on this unit. Other units, payloads, "
+    "temperatures and days are not in it: export with ranges= that hold them."
+)
 
 
 class _Asked(NamedTuple):
@@ -172,7 +180,7 @@ def _say(variants: Variants, taken: Sequence[Quantity], delays: Mapping[str, tup
     ]
     in_motor = any(quantity.name == "actuator.stiffness" for quantity in taken)
     missing = [name for name in bench_names if name in _OFFSETS or not (in_motor or name in ("armature", "delay"))]
-    missing += [name for quantity in taken if (name := quantity.name.partition(".")[2]) in _LIMITS]
+    missing += [name for quantity in taken if (name := quantity.name.partition(".")[2]) in LIMITS]
     limits = [
         "mjlab and Isaac Lab themselves were not run.",
         "A 95 % interval says how well these recordings fix the values of this law on this unit; other units, "
@@ -185,3 +193,107 @@ def _say(variants: Variants, taken: Sequence[Quantity], delays: Mapping[str, tup
     if delays:
         limits.append("The programs draw the delay by themselves, in whole steps and apart from all else: DELAYS.")
     return limits
+
+
+@dataclass(frozen=True)
+class Program:
+    """A simulator with events, and its name of each quantity, in the order of the changes."""
+
+    file: str
+    template: str
+    fields: Mapping[str, str]
+
+
+MJLAB = Program(
+    "mjlab_events.py",
+    "mjlab_events.py.jinja",
+    {
+        "joint.armature": "dof_armature",
+        "joint.frictionloss": "dof_frictionloss",
+        "joint.damping": "dof_damping",
+        "actuator.stiffness": "kp of the actuator",
+        "actuator.damping": "kd of the actuator",
+    },
+)
+ISAAC_LAB = Program(
+    "isaaclab_events.py",
+    "isaaclab_events.py.jinja",
+    {
+        "joint.armature": "armature",
+        "joint.static_friction": "static friction",
+        "joint.frictionloss": "dynamic friction",
+        "joint.damping": "viscous friction",
+        "actuator.stiffness": "stiffness of the actuator",
+        "actuator.damping": "damping of the actuator",
+    },
+)
+
+
+class Cell(NamedTuple):
+    """Range of a quantity in a joint, in its unit or as shares; for shares, `unit` has the reference value."""
+
+    joint: str
+    low: Code
+    high: Code
+    unit: Code
+    varies: bool
+
+
+def write_events(
+    program: Program,
+    fitted: FittedDrive,
+    quantities: Sequence[Quantity],
+    delays: Mapping[str, tuple[int, int]],
+    operation: str,
+) -> str:
+    """Write the file of a simulator; quantities that the simulator does not have are ignored.
+
+    `delays` has smallest and largest delay [steps] by joint, where the delay varies; `operation` is one of
+    `OPERATIONS`.
+
+    Raises:
+        ConfigError: The operation is `scale`, and a quantity is 0.
+    """
+    joints = fitted.bench.joints
+    available = {quantity.name: quantity for quantity in quantities if quantity.name in program.fields}
+    varied = [name for name in program.fields if name in available and any(available[name].why)]
+    return render(
+        program.template,
+        about=textwrap.fill(f"{_MEANING} {_ENTITY}", 110),
+        origin={"run": fitted.place, "model": fitted.model.name, "data": fitted.result["data"]["name"]},
+        joints={name: match_joint(name) for name in joints},
+        delays=delays,
+        timestep=f"{fitted.timestep:g}",
+        count=len(quantities[0].values),
+        changes=[line for name in varied for line in _list_changes(program.fields[name], available[name], fitted)],
+        operation=operation,
+        cells={name: _list_cells(quantity, joints, operation) for name, quantity in available.items()},
+        varied=varied,
+        static="joint.static_friction" if "joint.static_friction" in available else "joint.frictionloss",
+        friction=[name for name in FRICTION if name in varied],
+        gains=[name for name in GAINS if name in varied],
+    )
+
+
+def _list_changes(field: str, quantity: Quantity, fitted: FittedDrive) -> Iterator[str]:
+    for joint, name in enumerate(fitted.bench.joints):
+        if why := quantity.why[joint]:
+            low, high = quantity.ends[joint]
+            yield f"{field} [{quantity.unit}] of {name}: {low:.4g} to {high:.4g}, {why} in {fitted.place}"
+
+
+def _list_cells(quantity: Quantity, joints: Sequence[str], operation: str) -> list[Cell]:
+    cells = []
+    for joint, name in enumerate(joints):
+        nominal, why = quantity.nominal[joint], quantity.why[joint]
+        low, high = quantity.ends[joint]
+        unit = quantity.unit if why else f"{quantity.unit}, known"  # the reasons for the ranges are in CHANGES
+        if operation == "scale":
+            if why and nominal == 0:
+                raise ConfigError(
+                    f"operation=scale: {quantity.name} of {name} is 0, expected one to take shares of; take abs"
+                )
+            low, high = (low / nominal, high / nominal) if why else (1.0, 1.0)
+            unit = f"of {nominal:.6g} {unit}"
+        cells.append(Cell(name, Code(f"{low:.6g}"), Code(f"{high:.6g}"), Code(unit), bool(why)))
+    return cells

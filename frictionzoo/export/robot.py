@@ -1,7 +1,7 @@
 """An identified drive in the joints of a robot's file, MJCF or URDF."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.parsers import expat
@@ -12,26 +12,22 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Affine
 from frictionzoo.bench.delay import stretch, write_delay
-from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping, read_friction
+from frictionzoo.bench.robot_file.actuator import ReadActuator
+from frictionzoo.bench.robot_file.actuators import list_at, read_actuators, read_armature, read_damping, read_friction
 from frictionzoo.bench.robot_file.source import Source, load
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError, closest
-from frictionzoo.core.state import DriveState
-from frictionzoo.export.base import measure
 from frictionzoo.export.in_place import InPlace, Tag
 from frictionzoo.export.nearest import Nearest, say_law
-from frictionzoo.export.ranges import list_limits
-from frictionzoo.export.written import Difference
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.simulator import RK4
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # override the robot's defaults
 _LATE = ("delay", "nsample", "interp", "dyntype", "dynprm", "actearly")
-_STATES = 200  # number of recorded states for the torque comparison
 _NAMED = 3  # largest number of joints that are listed by name
-_ROUNDING = 1e-9  # tolerance of a torque limit, as a share of the limit
 _SAME = 1e-12  # relative tolerance of a value read back
+_UNLIMITED = np.array([np.nan, np.nan])
 ACTUATORS = ("identified", "keep")
 
 
@@ -120,7 +116,7 @@ def put_into(
             notes += _write_actuator(file, path, name, law, before)
     changed = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
     remark = nearest.remark or say_law(fitted.model)
-    comment = f"frictionzoo: {'dynamics' if urdf else changed} of {_say_joints(joints)} identified. {remark}"
+    comment = f"frictionzoo: {'dynamics' if urdf else changed} of {say_joints(joints)} identified. {remark}"
     after = load(str(path), file.write())
     _refuse_keys(file, path, before.model, after.model)
     changes = comment, tuple(dict.fromkeys(notes)), _list_unknown(after, joints)
@@ -129,43 +125,9 @@ def put_into(
     return robot
 
 
-def compare_torque(
-    robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators: bool
-) -> tuple[Difference, tuple[str, ...]]:
-    """Compare the torque of the file's actuators and damping with the drive's, in MuJoCo C at recorded states.
-
-    Without identified `actuators`, compare only the damping. Also return a sentence if limits of the robot contribute.
-    """
-    states = _pick_states(fitted)
-    data, column = mujoco.MjData(robot.model), list(robot.column)
-    expected = -(nearest.damping + fitted.bench.own_damping) * states.qvel + (states.motor_torque if actuators else 0.0)
-    rows = [states.map(lambda signal, row=row: signal[row, column]) for row in range(len(expected))]
-    rows = [state._replace(qpos=state.qpos + offset_of(fitted)[column]) for state in rows]
-    torque = [_torque_in(robot, data, state, actuators) for state in rows]
-    parts = "actuator and damping" if actuators else "damping"
-    over = f"{parts} of {_say_joints(robot.joints)} in {len(expected)} recorded states"
-    clipping = _say_cut(robot, states.motor_torque[:, column]) if actuators else ()
-    return measure("torque", fitted, np.array(torque), expected[:, column], over), clipping
-
-
 def offset_of(fitted: FittedDrive) -> Float[np.ndarray, "nv"]:
     """Return the offset of true from recorded positions [rad or m]."""
     return fitted.values["bench"].get("position_offset", np.zeros(fitted.bench.nv))
-
-
-def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tuple[str, ...]:
-    """Count the states in which force limits of the robot act; the bench has none."""
-    model, cut = robot.model, np.zeros(len(torque), bool)
-    ids = [model.joint(name).id for name in robot.joints]
-    limits = [(model.jnt_actfrcrange[ids], model.jnt_actfrclimited[ids], ids)]
-    limits += [(model.actuator_forcerange, model.actuator_forcelimited, model.actuator_trnid[:, 0])]
-    for ranges, limited, owners in limits:
-        for (low, high), acts, joint in zip(ranges, limited, owners, strict=True):
-            if acts and joint in ids:
-                joint_torque = torque[:, ids.index(joint)]
-                cut |= (joint_torque < low - _ROUNDING * abs(low)) | (joint_torque > high + _ROUNDING * abs(high))
-    limits_text = "the robot's own limits of force, which bench.xml has not"
-    return (f"In {cut.sum()} of {len(cut)} recorded states {limits_text}, cut the torque.",) if cut.any() else ()
 
 
 def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
@@ -191,37 +153,6 @@ def _compile(content: bytes, path: Path) -> str | None:
     except (ValueError, RuntimeError) as error:
         return " ".join(str(error).split())
     return None
-
-
-def _pick_states(fitted: FittedDrive) -> DriveState:
-    """Pick some recorded states, with the `ctrl` of MuJoCo's actuators."""
-    bench, samples = fitted.bench, fitted.samples
-    signals = fitted.acting().map(lambda signal: signal[:, :, 0].reshape(-1, bench.nv))
-    state = samples.qpos, samples.qvel
-    ctrl = bench.actuator.control(np, fitted.values["bench"], *state, signals.ctrl, signals.inputs)
-    stride = max(1, len(samples.qpos) // _STATES)
-    return samples._replace(ctrl=ctrl).map(lambda signal: np.asarray(signal)[::stride])
-
-
-def _torque_in(robot: Equipped, data: mujoco.MjData, state: DriveState, actuators: bool) -> Float[np.ndarray, "joints"]:
-    model = robot.model
-    ids = [model.joint(name).id for name in robot.joints]
-    dof = model.jnt_dofadr[ids]
-    mujoco.mj_resetData(model, data)
-    data.qpos[model.jnt_qposadr[ids]], data.qvel[dof] = state.qpos, state.qvel
-    for joint, ctrl in zip(ids, state.ctrl, strict=True):
-        of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
-        for actuator in np.flatnonzero(of_joint) if actuators else ():
-            data.ctrl[model.actuator_ctrladr[actuator]] = ctrl
-            if count := int(model.actuator_history[actuator, 0]):
-                times = model.opt.timestep * np.arange(-count, 0)
-                mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(count, ctrl))
-            if model.actuator_actnum[actuator]:  # a delay below one step, as a filter
-                data.act[model.actuator_actadr[actuator]] = ctrl
-    mujoco.mj_fwdPosition(model, data)
-    mujoco.mj_fwdVelocity(model, data)
-    mujoco.mj_fwdActuation(model, data)
-    return data.qfrc_damper[dof] + (data.qfrc_actuator[dof] if actuators else 0.0)
 
 
 def _read(path: Path) -> tuple[InPlace, bool]:
@@ -259,7 +190,8 @@ def _match(path: Path, joints: Sequence[str], found: Sequence[str], fitted: Fitt
     return tuple(range(fitted.bench.nv))
 
 
-def _say_joints(joints: Sequence[str]) -> str:
+def say_joints(joints: Sequence[str]) -> str:
+    """Name joints for a sentence; more than a few are counted."""
     return f"{len(joints)} joints" if len(joints) > _NAMED else ", ".join(joints)
 
 
@@ -353,10 +285,9 @@ def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], 
     old = [tag for tag in old if tag not in friction_motors]
     if len(old) > 1:
         raise ConfigError(f"joint={joint}: {len(old)} actuators, expected one at most; set actuator=keep")
-    identity = (
-        {key: old[0].attributes[key] for key in ("name",) if key in old[0].attributes} if old else {"name": joint}
-    )
-    limits, notes = list_limits(before, joint, law)
+    name = old[0].attributes.get("name") if old else joint
+    identity = {} if name is None else {"name": name}
+    limits, notes = _list_limits(before, joint, law)
     if friction_motors:
         notes.append(
             f"The <dcmotor> of joint {joint} without a command is left out: what was identified is its friction."
@@ -371,6 +302,57 @@ def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], 
         section.append(new)
         file.append(file.tags[0], section)
     return notes
+
+
+def _list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
+    """Return group and ranges of a joint's actuator as attributes of an actuator without class and gear, and remarks.
+
+    The command range stays, in the unit of the new actuator, if both actuators take positions or both take torques. If
+    a position controller replaces a motor, the motor's command range limits the force. `law` has the new `gainprm` and
+    `biasprm`.
+    """
+    model, index = before.model, before.model.joint(joint).id
+    actuators = list_at(model, index)
+    if not actuators:
+        return _as_attributes(_UNLIMITED, _UNLIMITED, 0), []
+    group = int(model.actuator_group[actuators[0]])
+    (read,) = read_actuators(before, [index])
+    if read is None:
+        return _as_attributes(_UNLIMITED, _UNLIMITED, group), [
+            f"The limits of the actuator that joint {joint} had are left out."
+        ]
+    ctrl, force, notes = _convert(read, float(law["gainprm"]), *map(float, law["biasprm"].split()[1:]))
+    return _as_attributes(ctrl, force, group), notes
+
+
+def _convert(read: ReadActuator, gain: float, bias1: float, bias2: float) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    ctrl, force = np.array(read.ctrlrange), np.array(read.forcerange)
+    if read.bias1 and bias1:
+        return _ordered(ctrl * (read.gain / read.bias1) * (bias1 / gain)), force, []
+    if read.kind == "motor" and not (bias1 or bias2):
+        return _ordered(ctrl * (read.gain / gain)), force, []
+    if not np.isfinite(ctrl).all():
+        return _UNLIMITED, force, []
+    if read.kind != "motor":
+        return _UNLIMITED, force, ["Ranges of commands are left out: the identified actuators' commands are others."]
+    low, high = _ordered(ctrl * read.gain)
+    force = np.array([np.fmax(force[0], low), np.fmin(force[1], high)])
+    return _UNLIMITED, force, ["The motors' ranges of commands limit the force: what is commanded now is no torque."]
+
+
+def _ordered(ends: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+    return np.sort(ends) if np.isfinite(ends).all() else ends
+
+
+def _as_attributes(ctrl: Float[np.ndarray, "2"], force: Float[np.ndarray, "2"], group: int) -> dict[str, str]:
+    """Write all limits explicitly, to override the robot's defaults."""
+    attributes = {"group": str(group)} if group else {}
+    for name, ends in (("ctrl", ctrl), ("force", force)):
+        limited = bool(np.isfinite(ends).all())
+        attributes[f"{name}limited"] = str(limited).lower()
+        if limited:
+            attributes[f"{name}range"] = " ".join(map(in_full, ends))
+    return attributes
 
 
 def _refuse_keys(file: InPlace, path: Path, before: mujoco.MjModel, after: mujoco.MjModel) -> None:

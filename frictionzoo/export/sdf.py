@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.xml import write_comment, write_xml
-from frictionzoo.export.base import Target, measure, register_target
+from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import (
     DRAKE,
@@ -24,7 +24,6 @@ from frictionzoo.export.skeleton import (
     run_links,
     say_lacks,
 )
-from frictionzoo.export.written import Export
 from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.sdf"
@@ -166,9 +165,8 @@ def read_sdf(text: str) -> tuple[mujoco.MjSpec, dict[str, float]]:
         _read_link(body, links[child])
         if (axis := element.find("axis")) is not None:
             joint = body.add_joint(name=name, type=_TYPES[element.get("type", "")], axis=_numbers(axis, "xyz"))
-            (joint.damping[0],), (joint.frictionloss,) = (
-                _numbers(axis, f"dynamics/{tag}") for tag in ("damping", "friction")
-            )
+            (joint.damping[0],) = _numbers(axis, "dynamics/damping")
+            (joint.frictionloss,) = _numbers(axis, "dynamics/friction")
         if element.find(f"{{{DRAKE}}}rotor_inertia") is not None:
             rotor, ratio = (_numbers(element, f"{{{DRAKE}}}{tag}")[0] for tag in ("rotor_inertia", "gear_ratio"))
             inertia[name] = rotor * ratio**2

@@ -68,10 +68,8 @@ def simulate(
         if segments.load is not None:
             place.put_load(model, segments.load[rollout])
         data = mujoco.MjData(model)
-        data.qpos[place.qpos], data.qvel[place.dof] = (
-            segments.qpos[rollout, 0] + place.offset,
-            segments.qvel[rollout, 0],
-        )
+        data.qpos[place.qpos] = segments.qpos[rollout, 0] + place.offset
+        data.qvel[place.dof] = segments.qvel[rollout, 0]
         prepare(model, data, rollout)
         states = np.empty((signals.ctrl.shape[1] + 1, 2, fitted.bench.nv))
         states[0] = data.qpos[place.qpos], data.qvel[place.dof]

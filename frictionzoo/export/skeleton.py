@@ -64,10 +64,8 @@ def read_links(fitted: FittedDrive, nearest: Nearest) -> list[Link]:
             f"{fitted.place}: a body with several joints, an equality or a tendon, expected links with a joint each; "
             "write target=mjcf"
         )
-    bodies, joints = (
-        {get(index).name for index in range(count)}
-        for get, count in ((model.body, model.nbody), (model.joint, model.njnt))
-    )
+    bodies = {model.body(index).name for index in range(model.nbody)}
+    joints = {model.joint(index).name for index in range(model.njnt)}
     names = [model.body(body).name or find_free_name(f"link{body}", bodies) for body in range(model.nbody)]
     fixed = [find_free_name(f"{name}_fixed", joints) for name in names]
     return [_read_link(model, body, names, fixed[body]) for body in range(1, model.nbody)]
@@ -88,10 +86,8 @@ def _read_link(model: mujoco.MjModel, body: int, names: Sequence[str], fixed: st
     anchor = _anchor(model, body)
     joint_fields = (fixed, "fixed", np.array([0.0, 0.0, 1.0]), 0.0, 0.0)
     if joint >= 0:
-        kind, dof = (
-            "hinge" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else "slide",
-            model.jnt_dofadr[joint],
-        )
+        kind = "hinge" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else "slide"
+        dof = model.jnt_dofadr[joint]
         friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
         joint_fields = (model.joint(joint).name, kind, model.jnt_axis[joint], *friction)
     return Link(
@@ -146,14 +142,13 @@ def list_numbers(values: Iterable[float]) -> str:
 def say_lacks(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> tuple[str, ...]:
     """List the limits common to these formats; `in_links`: the armature is in the links."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
-    armature = list_values(nearest.bench["armature"])
-    armature_text = (
-        f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it where a "
-    )
-    armature_text += "program has one. Gazebo has none."
+    armature = f"{list_values(nearest.bench['armature'])} {units['inertia']}"
     limits = [
         *say_limits(fitted, nearest),
-        f"The armature, {armature} {units['inertia']}, is in the links: set none." if in_links else armature_text,
+        f"The armature, {armature}, is in the links: set none."
+        if in_links
+        else f"Only Drake reads the armature, {armature}, from drake:rotor_inertia: set it where a program has one. "
+        "Gazebo has none.",
         "Drake reads no dry friction: its joints have damping alone.",
         "Shapes are left out, and so are solreffriction, gravity and the time step.",
     ]

@@ -70,18 +70,6 @@ def read_source(owner: Any, *methods: str) -> Source:
     return source
 
 
-def merge(*sources: Source) -> Source:
-    """Merge imports and functions of several sources.
-
-    Raises:
-        ExportError: Two sources have different functions of the same name.
-    """
-    merged = Source()
-    for source in sources:
-        merged.take(source)
-    return merged
-
-
 def write_values(values: Mapping[str, Float[np.ndarray, "..."]]) -> tuple[Code, dict[str, np.ndarray]]:
     """Write values as the text of a dictionary of `np` arrays; also return the arrays too large for it."""
     arrays = {name: np.asarray(value) for name, value in values.items()}

@@ -12,11 +12,10 @@ import numpy as np
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.xml import write_comment, write_xml
-from frictionzoo.export.base import Target, measure, register_target
+from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
-from frictionzoo.export.written import Export
 from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.urdf"

@@ -17,8 +17,7 @@ from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, 
 from frictionzoo.core.output import take_place, to_json, write_atomically, write_json
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import align, escape_all
-from frictionzoo.export.base import get_target, read_number, target_names
-from frictionzoo.export.written import Export, Written
+from frictionzoo.export.base import Export, Written, get_target, read_number, target_names
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
 from frictionzoo.result.simulator import RK4, find_limited
@@ -74,11 +73,9 @@ def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:
         return
     limits = str(len(one.export.limits) or "none")
     for difference in one.export.differences:
-        compared, sizes = (
-            f"{difference.quantity} [{difference.unit}]",
-            (difference.largest, difference.mean, difference.error),
-        )
+        sizes = difference.largest, difference.mean, difference.error
         shown = ("" if size is None else f"{size:.2g}" for size in sizes)
+        compared = f"{difference.quantity} [{difference.unit}]"
         yield one.target, compared, difference.over, *shown, limits, one.mark(difference)
 
 
@@ -155,7 +152,7 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
     target_options = {option: value for option, value in options.items() if option in target.options}
     with take_place(place, "export", [NOTE]) as fresh:
         export = target.write(moved, fresh, target_options)
-        export = Export(export.files, export.differences, (*export.limits, *_say_simulator(moved)))
+        export = replace(export, limits=(*export.limits, *_say_simulator(moved)))
         written = Written(name, place, export, error=moved.result["metrics"]["test"]["position_mae"])
         note = _note(moved, written, target.packages, export)
         write_json(fresh / NOTE, to_json(note))

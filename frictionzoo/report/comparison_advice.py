@@ -1,7 +1,6 @@
 """Advice from a comparison: certainty of the ranking, use of the recommended run, next steps."""
 
 import shlex
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from frictionzoo.core.output import RESULT
@@ -11,9 +10,9 @@ from frictionzoo.report.run_page import list_uses
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
 from frictionzoo.result.comparison.types import Comparison, PairRow
+from frictionzoo.result.names import name_some
 from frictionzoo.result.verdict import is_usable
 
-NAMED = 4  # largest number of runs named in a sentence; the rest are counted
 MORE = 4  # factor on the number of rollouts; halves an interval
 _RUN = ["python", "-m", "frictionzoo.run"]
 
@@ -23,11 +22,6 @@ class Step(NamedTuple):
 
     purpose: str
     command: str
-
-
-def name_runs(labels: Sequence[str]) -> str:
-    """Return names for a sentence; beyond `NAMED` they are counted."""
-    return ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
 
 
 def check_order(comparison: Comparison) -> Check:
@@ -40,7 +34,7 @@ def check_order(comparison: Comparison) -> Check:
     pairs = _pairs_with_best(comparison)
     close = [label for label in others if pairs[label]["verdict"] == "noise"]
     if close:
-        text = f"Within noise of the best run, {best}: {name_runs(close)}. These data show no relevant difference"
+        text = f"Within noise of the best run, {best}: {name_some(close)}. These data show no relevant difference"
         return Check("note", "Ranking", f"{text}; the simplest run is recommended.")
     text = f"{best} is better than every other run by more than noise. {_say_next(comparison)}"
     return Check("good", "Ranking", text)
@@ -86,17 +80,13 @@ def list_next_steps(comparison: Comparison, chosen: Run) -> list[Step]:
     if sweep := _judge_again(comparison, command):
         steps.append(Step("Compare the runs within noise on more rollouts", sweep))
     models = {entry["model"] for entry in comparison["runs"]}
-    if command and not any(_names_law(command, model) for model in models):
+    if command and not any(f" model={model} " in f"{command} " or f"bench, {model!r}" in command for model in models):
         steps.append(Step("Try another model", command))
     if recording := commands.get("recording"):
         steps.append(Step("Make another recording", recording))
     elif inspect := commands.get("inspect"):
         steps.append(Step("Inspect the recordings", inspect))
     return steps
-
-
-def _names_law(command: str, model: str) -> bool:
-    return f" model={model} " in f"{command} " or f"bench, {model!r}" in command
 
 
 def _judge_again(comparison: Comparison, command: str) -> str:

@@ -14,7 +14,7 @@ from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.output import RESULT, write_atomically
 from frictionzoo.diagnostics.check import Check
 from frictionzoo.report.colors import DARK
-from frictionzoo.report.comparison_advice import check_order, list_next_steps, list_steps_to_use, name_runs
+from frictionzoo.report.comparison_advice import check_order, list_next_steps, list_steps_to_use
 from frictionzoo.report.comparison_plots import Look, choose_looks, plot_comparison
 from frictionzoo.report.page import render_page
 from frictionzoo.report.run_page import (
@@ -31,7 +31,7 @@ from frictionzoo.result.comparison.record import FEW
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
 from frictionzoo.result.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
-from frictionzoo.result.names import pick_value, read_values
+from frictionzoo.result.names import name_some, pick_value, read_values
 from frictionzoo.result.verdict import is_usable, judge
 
 POINTS = 2000  # largest number of points per curve; a comparison has many curves
@@ -88,7 +88,7 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         rows=rows,
         joints=tuple(comparison["joints"]),
         errors=list_errors_by_joint(comparison),
-        worst=_find_worst(comparison["runs"][0]),
+        worst=int(np.argmax([row["test"]["position_mae"] or 0.0 for row in comparison["runs"][0]["by_joint"]])),
         matters=MATTERS,
         recommended=best,
         order=order,
@@ -196,10 +196,6 @@ def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:
     return joints
 
 
-def _find_worst(entry: RunRow) -> int:
-    return int(np.argmax([row["test"]["position_mae"] or 0.0 for row in entry["by_joint"]]))
-
-
 def _list_files(folder: Path) -> dict[str, str]:
     """Return files in the page's folder with a description; `comparison.json` is written after the page."""
     files = {name: text for name, text in FILES.items() if name == "comparison.json" or (folder / name).exists()}
@@ -240,7 +236,7 @@ def _check_divergence(comparison: Comparison) -> Check:
     if not diverged:
         return Check("good", "Stability", "All training and test rollouts of all runs stayed finite.")
     chosen = (comparison["recommendation"] or {}).get("run")
-    text = f"Diverged rollouts, excluded from the errors: {name_runs([*diverged.values()])}."
+    text = f"Diverged rollouts, excluded from the errors: {name_some([*diverged.values()])}."
     return Check("bad" if chosen is None or chosen in diverged else "caution", "Stability", text)
 
 
@@ -251,7 +247,7 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
         if (names := [parameter["name"] for parameter in entry["parameters"] if parameter["at_bound"]])
     ]
     if ended:
-        text = f"Parameters ended at a bound: {name_runs(ended)}. Widen the bounds or try another model."
+        text = f"Parameters ended at a bound: {name_some(ended)}. Widen the bounds or try another model."
         return Check("caution", "Bounds", text)
     return Check("good", "Bounds", "No identified parameter of any run ended at a bound.")
 
@@ -259,7 +255,7 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
 def _check_fits(runs: Sequence[Run]) -> Check:
     doubtful = [run.label for run in runs if any(check.title == "Fit" for check in _doubt(run))]
     if doubtful:
-        text = f"Fits that may not have reached their optimum: {name_runs(doubtful)}. Select a run for details."
+        text = f"Fits that may not have reached their optimum: {name_some(doubtful)}. Select a run for details."
         return Check("caution", "Fits", text)
     return Check("good", "Fits", "No problems found in the fits.")
 
@@ -269,8 +265,8 @@ def _check_differences(differences: Sequence[DifferenceRow]) -> Check:
     sections = list(dict.fromkeys(option.partition(".")[0] for option in options))
     unlike = [section for section in sections if section in FITTED]
     if unlike:
-        text = f"Apart from the model, runs differ in options of {name_runs(unlike)}, listed on this page"
+        text = f"Apart from the model, runs differ in options of {name_some(unlike)}, listed on this page"
         return Check("caution", "Different fit options", f"{text}. These may explain part of the differences.")
     if options:
-        return Check("note", "Same fit options", f"Apart from the model, runs differ only in {name_runs(options)}.")
+        return Check("note", "Same fit options", f"Apart from the model, runs differ only in {name_some(options)}.")
     return Check("good", "Same fit options", "Runs differ only in the model.")

@@ -2,11 +2,14 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.core.output import remove_written
+from frictionzoo.report import with_matplotlib
 from frictionzoo.report.colors import BASELINE, BEST, GRID, RUNS, SOFT
 from frictionzoo.report.figure import (
     FLATTENED,
@@ -18,13 +21,14 @@ from frictionzoo.report.figure import (
     Figure,
     Mark,
     Panel,
+    Sheet,
     Stripe,
     scale_errors,
     scale_values,
 )
 from frictionzoo.report.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above, say_where
-from frictionzoo.report.run_plots import REPORTED
-from frictionzoo.report.text import format_digits, format_number, format_unit, wrap
+from frictionzoo.report.run_plots import COLUMNS, REPORTED
+from frictionzoo.report.text import format_digits, format_number, format_unit, say_origin, wrap
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
 from frictionzoo.result.comparison.types import Comparison, PairRow
@@ -38,6 +42,8 @@ DASHES: tuple[Dash, ...] = ((), (5.0, 2.0), (1.2, 1.6), *_BROKEN)
 MARKERS = ("circle", "x", "triangle-up", "cross", "square", "triangle-down", "diamond")
 FRAME = 4.0  # largest difference on the axis, relative to the median one; larger ones are labelled at the edge
 ROW, LINE = 28, 17  # px for each run in figures with one row per run, and for each line of its label
+FORMATS = ("png", "pdf")
+PIXELS = 75.0  # page pixels per inch of paper, for figures whose height depends on the number of rows
 
 Look = Mapping[str, Any]
 """Attributes shared by the marks of one run: name, index, colour and dash."""
@@ -74,6 +80,50 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
         "autocorrelation": [_plot_autocorrelation(comparison)],
         "friction": list(_plot_friction(comparison)),
         "loss": [_plot_loss(comparison, ranked)],
+    }
+
+
+def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
+    """Write all figures of a comparison, each as PNG and PDF; an older file of a figure that is now empty is removed.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    for name, sheet in arrange(comparison, runs).items():
+        figure = with_matplotlib.draw(sheet) if sheet.figures else None
+        for path in (folder / f"{name}.{suffix}" for suffix in FORMATS):
+            remove_written(path) if figure is None else with_matplotlib.save_figure(figure, path)
+
+
+def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
+    """Return the sheet of each file; an empty figure has a sheet without figures."""
+    plots, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
+    data = f"{comparison['data']['name']} ({say_origin(comparison['data']['origin'])})"
+    fits = f"Fits to the training part of {data}\nred: the reported iteration and its values; axis from the lower "
+    fits += "to the upper bound of each parameter, logarithmic if both are positive"
+    single = f"One rollout of the test part of {data}"
+    window = f"moving mean and standard deviation over {runs[0].result['evaluation']['window']:g} s"
+    short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"
+    long = f"Mean over {evaluation['long_rollouts']} rollouts of the test part of {data}"
+    windows = sum(comparison["by_speed"]["windows"])
+    local = f"{windows} short rollouts over the test part of {data}, in bins of equal count"
+    friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, if friction depends on more"
+    names = max((len(figure.panels[0].marks) // 2 for figure in plots["parameters"]), default=0)
+    rows = (plots["mae"][0].height or 0) / PIXELS
+    columns = min(joints, COLUMNS)
+    return {
+        "figure3_parameters": Sheet(
+            fits, plots["parameters"], 2.1 + with_matplotlib.LINE * names, 2 if joints == 1 else columns, apart=True
+        ),
+        "figure4_trajectories": Sheet(single, plots["trajectories"], 5.4, columns, headings=True),
+        "figure5_error": Sheet(f"{single}\n{window}", plots["error"], 3.4),
+        "figure6_mae": Sheet(f"{short}\nmean and standard deviation over rollouts", plots["mae"], rows),
+        "error_by_horizon": Sheet(long, plots["by_horizon"], 3.0),
+        "error_by_speed": Sheet(local, plots["by_speed"], 3.0),
+        "error_by_load": Sheet(local, plots["by_load"], 3.0),
+        "friction": Sheet(f"{friction} than the velocity", plots["friction"], 3.2, columns, headings=True),
+        "autocorrelation": Sheet(long, plots["autocorrelation"], 3.0),
+        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", plots["differences"], rows),
     }
 
 

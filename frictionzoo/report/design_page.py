@@ -83,7 +83,8 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
     """Yield the checks of the command; `note` is the content of `excitation.json`."""
     unknown = [row["name"] for row in note["parameters"] if not row["identifiable"]]
     used = max(note["limits"], key=lambda row: row["share"])
-    largest = f"the {used['quantity']}{_of_joint(note, used['joint'])}, {100 * used['share']:.0f} % of its limit"
+    joint = f" of {used['joint']}" if len(note["joints"]) > 1 else ""
+    largest = f"the {used['quantity']}{joint}, {100 * used['share']:.0f} % of its limit"
     if unknown:
         text = (
             f"Not identifiable by this command: {', '.join(unknown)}. Most is taken of {largest}. State such a value as"
@@ -109,10 +110,6 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
     source = f"those of the run {note['run']}" if note["run"] else "initial values, not of a fit"
     text = f"The values of the drive are {source}: a design is as good as they are. Fit, and design again."
     yield Check("note", "Values", text)
-
-
-def _of_joint(note: Mapping[str, Any], joint: str) -> str:
-    return f" of {joint}" if len(note["joints"]) > 1 else ""
 
 
 def _say_headline(note: Mapping[str, Any]) -> str:
@@ -174,17 +171,13 @@ def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint
         marks: list[Mark] = [*_draw_limits(limits[quantity], level=True)]
         marks += [Curve(x=time, y=curve, name=name, color=colors[name]) for name, curve in curves.items()]
         panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis))
-    ends = ", ".join(_say_reached(limits[quantity]) for quantity in _QUANTITIES)
+    rows = [limits[quantity] for quantity in _QUANTITIES]
+    ends = ", ".join("{:.3g} to {:.3g} {}".format(*row["reached"], row["unit"]) for row in rows)
     text = (
         f"Command of {note['joints'][joint]}, and what MuJoCo C expects of it; dashed: the limits. It reaches {ends}."
     )
     text += f" Outside the frame: the limits of {' and '.join(outside)}." if outside else ""
     return Figure(f"Motion of {note['joints'][joint]}", text, tuple(panels), height=620)
-
-
-def _say_reached(row: Mapping[str, Any]) -> str:
-    low, high = row["reached"]
-    return f"{low:.3g} to {high:.3g} {row['unit']}"
 
 
 def _draw_limits(row: Mapping[str, Any], level: bool) -> Iterator[Mark]:

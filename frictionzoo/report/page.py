@@ -107,13 +107,14 @@ def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
 
 
 _FILTERS = {
-    **{"number": format_number, "unit": format_unit, "place": _place, "change": format_change},
-    **{
-        "merge_known": merge_known,
-        "overview": _overview,
-        "share": format_share,
-        "percent": say_percent,
-        "certainty": _say_certainty,
-        "say_origin": say_origin,
-    },
+    "number": format_number,
+    "unit": format_unit,
+    "place": _place,
+    "change": format_change,
+    "merge_known": merge_known,
+    "overview": _overview,
+    "share": format_share,
+    "percent": say_percent,
+    "certainty": _say_certainty,
+    "say_origin": say_origin,
 }

@@ -59,13 +59,13 @@ def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves
     joints = [model.joint(name).id for name in bench.joints]
     moving = _find_moving(model, joints)
     shapes, meshes = list(_list_geoms(model)), list[dict[str, Any]]()
-    inertia = not any(moving[shape["body"]] for shape in shapes)
+    for shape in shapes:
+        shape["moves"] = bool(moving[shape["body"]])
+    inertia = not any(shape["moves"] for shape in shapes)
     if not inertia:
         meshes = _list_meshes(model, shapes)
     elif bench.payload is None:
         shapes += _list_inertia(model, joints, curves)
-    for shape in shapes:
-        shape["moves"] = bool(moving[shape["body"]])
     offset = values.get("position_offset", np.zeros(bench.nv))
     stride = _space_frames(curves, timestep)
     return {
@@ -276,16 +276,12 @@ def _list_rollouts(bench: Bench, curves: Curves, every: int, inertia: bool) -> I
             f"{format_number(error)} {UNITS[bench.joint_type]['position']}" if np.isfinite(error) else "diverged"
         )
         label = f"{names.get(rollout, '')}{rollout + 1} of {len(curves.qpos)}: {error_text}"
-        shapes = _list_carried(bench, curves, rollout) if inertia else []
+        shapes = list[Shape]()
+        if inertia and bench.payload is not None:
+            loaded = bench.compile(constraint=False)
+            bench.put_load(loaded, curves.load[rollout])
+            shapes = _list_inertia(loaded, [loaded.joint(name).id for name in bench.joints], curves)
         yield {"rollout": rollout, "label": label, "positions": positions, "shapes": shapes}
-
-
-def _list_carried(bench: Bench, curves: Curves, rollout: int) -> list[Shape]:
-    if bench.payload is None:
-        return []
-    model = bench.compile(constraint=False)
-    bench.put_load(model, curves.load[rollout])
-    return _list_inertia(model, [model.joint(name).id for name in bench.joints], curves)
 
 
 def _round_positions(qpos: Float[np.ndarray, "frames nv"], bench: Bench) -> list[list[int]]:

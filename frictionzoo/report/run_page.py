@@ -51,7 +51,6 @@ LINKS = {
     "files": "Files",
 }
 """Section titles by id."""
-_OF_ONE, _OF_SEVERAL = ("friction", "left"), ("joints",)
 _NEAR, _NAMED = 0.8, 3  # correlation from which a pair is named; largest number of named pairs
 MOST, LEAST = 1500, 500  # points per curve for one joint, and at least for several; three figures share a row
 PORTRAYED = (
@@ -86,17 +85,15 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
     Raises:
         OutputError: The file cannot be written.
     """
-    write_atomically(path, _render(path.parent, result, curves, replay))
-
-
-def _render(folder: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None) -> bytes:
+    folder = path.parent
     # A shared page must not reveal anyone's home directory; paths below the working directory become relative.
     place, command = str(folder.absolute()), say_command(folder)
     paths = {place, *list_paths_of(result, command)}
     place, command, result = without_paths([place, command, result], paths, result["joints"], Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
     joints = list_joints(result) if len(result["joints"]) > 1 else []
-    absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}
+    absent = {*(("friction", "left") if joints else ("joints",)), *([] if replay else ["replay"])}
+    metrics, timestep = result["metrics"], result["settings"].get("bench", {}).get("timestep")
     content = {
         "result": result,
         "verdict": result["verdict"],
@@ -107,19 +104,19 @@ def _render(folder: Path, result: Result, curves: Curves, replay: Mapping[str, A
         "usable": is_usable(result),
         "purposes": say_purposes(result["verdict"]["commands"]),
         "command": command,
-        "step": _say_step(result["settings"].get("bench", {}).get("timestep")),
+        "step": f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file",
         "ranks": _say_ranks(curves),
         "shown": _say_shown(result, curves),
         "portrayed": PORTRAYED,
         "correlations": [correlate(result, joint) for joint in result["joints"]],
         "headline": _say_headline(result),
-        "errors": list(list_errors(result)),
+        "errors": list(_compare_errors(metrics["test"], metrics["baseline"], metrics["test"])),
         "evaluations": list(_list_evaluations(result)),
         "timing": list_timing(result["timing"]),
         "files": {name: text for name, text in FILES.items() if name == "result.json" or (folder / name).exists()},
         "version": result["versions"]["frictionzoo"],
     }
-    return render_page(
+    page = render_page(
         "report/run.html.jinja",
         plot_run(result, curves),
         list(check_result(result)),
@@ -128,15 +125,16 @@ def _render(folder: Path, result: Result, curves: Curves, replay: Mapping[str, A
         three=pack_library("three/three.min.js") if replay else "",
         **content,
     )
+    write_atomically(path, page)
 
 
 def list_uses(place: str, usable: bool = True) -> list[str]:
     """Return lines that use the result in a folder, in a shell and in Python; unless `usable`, they only read it."""
     export = [f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf"] if usable else []
-    read = ["import frictionzoo as fz", f"drive = fz.load({place!r})"]
     return [
         *export,
-        *read,
+        "import frictionzoo as fz",
+        f"drive = fz.load({place!r})",
         "drive.parameters, drive.rollout()" if usable else 'drive.parameters, drive.result["verdict"]',
     ]
 
@@ -148,10 +146,6 @@ def say_command(folder: Path) -> str | None:
         return None
     kept = [str(item) for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", str(item))]
     return shlex.join(["python", "-m", "frictionzoo.run", *kept])
-
-
-def _say_step(timestep: Any) -> str:
-    return f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file"
 
 
 def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
@@ -304,11 +298,8 @@ def _check_fit(fit: FitRow) -> Check:
         "grid": ("good", f"The grid search tried all {count} combinations; the best is reported."),
     }
     outcome = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
-    return (
-        Check(checks[outcome][0], "Fit", checks[outcome][1])
-        if outcome in checks
-        else Check("good", "Fit", f"{method} completed {iterations}; {reported}.")
-    )
+    state, text = checks.get(outcome, ("good", f"{method} completed {iterations}; {reported}."))
+    return Check(state, TITLES["fit"], text)
 
 
 def _capitalise(text: str) -> str:
@@ -342,15 +333,10 @@ def _say_headline(result: Result) -> str:
     return f"{without} ({change})."
 
 
-def list_errors(result: Result) -> Iterator[dict[str, Any]]:
-    """Return rows of the main table: errors of the model and without friction."""
-    test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
-    return _compare_errors(test, baseline, test)
-
-
 def _compare_errors(
     own: Mapping[str, Any], baseline: Mapping[str, Any], units: Mapping[str, Any]
 ) -> Iterator[dict[str, Any]]:
+    """Yield rows of a table: errors of the model and without friction."""
     for name, (key, unit) in ERRORS.items():
         if key in own:
             yield {"name": name, "unit": units[unit], "model": own[key], "baseline": baseline[key]}

@@ -1,6 +1,7 @@
 """Figures of one run: friction curves, rollouts, errors, residual torque, optimisation, errors by horizon."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,19 +9,27 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure as Drawing
 
+from frictionzoo.core.params import UNITS
+from frictionzoo.core.telling import say_percent
 from frictionzoo.report import with_matplotlib
 from frictionzoo.report.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
-from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values
-from frictionzoo.report.friction_plots import find_units, plot_left, plot_portraits
+from frictionzoo.report.figure import Axis, Band, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values
 from frictionzoo.report.rollouts import Drive, draw_errors, draw_motion, say_where
 from frictionzoo.report.text import format_number, format_unit, say_origin
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.types import HorizonRow, Result
+from frictionzoo.result.portrait import Portrait
+from frictionzoo.result.types import Result
 
-COLUMNS = 4  # joints in a row of a sheet
 PHASE = 5.0  # duration in a phase plot [s]; beyond it, curves hide each other
 _FIRST = {"": 0}  # first long test rollout, from the paper's evaluation (a)
 REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # reported iteration
+COLUMNS = 4  # joints in a row of a picture or sheet
+_OVER = {  # name of each axis, and its unit or its dimension in UNITS
+    "velocity": ("velocity", "velocity"),
+    "load": ("load on the gear", "torque"),
+    "position": ("position", "position"),
+    "temperature": ("temperature", "°C"),
+}
 
 
 def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
@@ -142,24 +151,20 @@ def _draw_courses(
 def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     """Yield figure 4 for each joint and rollout: measured and simulated position and velocity."""
     test, timestep = result["metrics"]["test"], result["data"]["timestep"]
-    duration = timestep * (curves.measured_qpos.shape[1] - 1)
+    duration, count = timestep * (curves.measured_qpos.shape[1] - 1), len(curves.qpos)
     for joint, name in enumerate(result["joints"]):
         for rank, rollout in shown.items():
             drives = _list_drives(curves, rollout)
             panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
             errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
-            errors_text = _say_each(drives, [_say_error(error, test["unit"]) for error in errors])
+            errors_text = _say_each([_say_error(error, test["unit"]) for error in errors])
             place = say_where(result["data"], curves, rollout)
             text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s"
             text += f", {place}; " if place else "; "
             text += f"the mean position error is {errors_text}."
-            title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
+            which = f"The {rank} of {count} long test rollouts" if count > 1 else "The only long test rollout"
+            title = f"{which}: {name}" if rank else f"Trajectory of {name}"
             yield Figure(title, text, panels, time=True, rollout=rollout)
-
-
-def _say_rank(rank: str, curves: Curves) -> str:
-    count = len(curves.qpos)
-    return f"The {rank} of {count} long test rollouts: " if count > 1 else "The only long test rollout: "
 
 
 def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
@@ -187,13 +192,10 @@ def _list_drives(curves: Curves, rollout: int) -> list[Drive]:
     ]
 
 
-def _say_each(drives: Sequence[Drive], values: Sequence[str]) -> str:
-    with_whom = {"this model": "with the model", "no friction": "without friction"}
-    phrases = [
-        f"{value} {with_whom.get(name := drive.look['name'], f'with the {name}')}"
-        for drive, value in zip(drives, values, strict=True)
-    ]
-    return f"{', '.join(phrases[:-1])} and {phrases[-1]}"
+def _say_each(values: Sequence[str]) -> str:
+    """Name a value of each drive in `_list_drives`."""
+    model, baseline = values
+    return f"{model} with the model and {baseline} without friction"
 
 
 def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
@@ -212,13 +214,13 @@ def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
             f"Moving mean and standard deviation over {window:g} s of the absolute position error"
             f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
         )
-        text += f"is {_say_each(drives, largest)}."
+        text += f"is {_say_each(largest)}."
         title = f"Error of the {rank} rollout" if rank else "Position error"
         yield Figure(title, text, (panel,), time=True, rollout=rollout)
 
 
 def _plot_horizons(result: Result) -> Figure:
-    entries = _sort_horizons(result)
+    entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
     unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
     parts = ("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE)
     marks, width, middle = [], 0.81 / len(parts), (len(parts) - 1) / 2
@@ -236,5 +238,82 @@ def _plot_horizons(result: Result) -> Figure:
     return Figure("Position error by horizon", f"Mean position error {'; '.join(phrases)}.", (panel,))
 
 
-def _sort_horizons(result: Result) -> list[HorizonRow]:
-    return sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
+def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
+    """Yield friction curves of each joint over all inputs of the model, with the friction implied by recordings."""
+    for joint in range(len(result["joints"])):
+        for over in curves.portraits:
+            yield _plot_portrait(result, curves, joint, over)
+
+
+def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> None:
+    """Save a picture of friction over velocity, one panel per joint.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    joints = result["joints"]
+    figures = [
+        replace(_plot_portrait(result, curves, joint, "velocity"), title=name) for joint, name in enumerate(joints)
+    ]
+    sheet = Sheet(title, figures, 3.6, columns=min(len(figures), COLUMNS), headings=len(figures) > 1)
+    with_matplotlib.save_figure(with_matplotlib.draw(sheet), path)
+
+
+def _plot_portrait(result: Result, curves: Curves, joint: int, over: str) -> Figure:
+    units, name, (label, unit) = find_units(result), result["joints"][joint], _OVER[over]
+    portrait = Portrait(*(part[:, joint] for part in curves.portraits[over]))
+    x = Axis(label, units.get(unit, unit))
+    y = Axis("friction" if over == "velocity" else "friction opposing the motion", units["torque"])
+    text = f"Friction of {name} over {label}: {_say_portrait(portrait, units['torque'])}"
+    panel = Panel(list(_draw_portrait(portrait, over == "velocity")), x, y)
+    return Figure(f"Friction of {name} over {label}", text, (panel,))
+
+
+def _draw_portrait(portrait: Portrait, crosses: bool) -> Iterator[Mark]:
+    if crosses:
+        yield Stripe(low=0.0, high=0.0, level=True)
+        yield Stripe(low=0.0, high=0.0)
+    name = "model"
+    if (bounded := np.isfinite(portrait.low)).any():
+        name = "model, 95 % interval"
+        grid, low, high = (part[bounded] for part in (portrait.at, portrait.low, portrait.high))
+        yield Band(x=grid, low=low, high=high, name=name, color=MODEL)
+    yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, color=MODEL)
+    if (filled := np.isfinite(portrait.where)).any():
+        where, implied, *ends = (part[filled] for part in portrait[4:])
+        look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "reach": np.stack(ends)}
+        yield Curve(x=where, y=implied, name="implied by the recorded torque", **look)
+
+
+def _say_portrait(portrait: Portrait, unit: str) -> str:
+    filled = np.isfinite(portrait.where)
+    if not filled.any():
+        return "the model; the recordings determine no implied friction."
+    gap = portrait.implied[filled] - np.interp(portrait.where[filled], portrait.at, portrait.law)
+    size = float(np.abs(portrait.implied[filled]).mean()) or 1.0
+    return (
+        "the model, and the friction implied by the recorded torque in motion: its median and 10 to 90 % range in "
+        f"{filled.sum()} bin{'s' * bool(filled.sum() > 1)}. The medians differ from the curve by "
+        f"{format_number(float(np.abs(gap).mean()))} {unit} on average, {say_percent(np.abs(gap).mean() / size)} of "
+        "the friction."
+    )
+
+
+def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:
+    """Yield the residual torque of each joint over the time of the training recordings."""
+    unit = find_units(result)["torque"]
+    rows = {row["joint"]: row for row in (result["residual"] or {"by_joint": []})["by_joint"]}
+    for joint, name in enumerate(result["joints"] if curves.left.size else ()):
+        look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "size": 2.5, "opacity": 0.7}
+        residual = Curve(x=curves.left_time, y=curves.left[:, joint], name="residual torque", color=MODEL, **look)
+        size = rows[name]["residual"] if name in rows else None
+        marks = [Stripe(low=0.0, high=0.0, level=True), residual]
+        x = Axis("time in the training data", "s")
+        text = f"Residual torque of {name} in motion"
+        text += "." if size is None else f": root mean square {format_number(size)} {unit}."
+        yield Figure(f"Residual torque of {name}", text, (Panel(marks, x, Axis("torque", unit)),))
+
+
+def find_units(result: Result) -> Mapping[str, str]:
+    """Return the units of the run's joints by dimension."""
+    return UNITS["hinge" if result["metrics"]["test"]["unit"] == UNITS["hinge"]["position"] else "slide"]

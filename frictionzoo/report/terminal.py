@@ -1,14 +1,14 @@
-"""Summary of one run or a comparison in plain text, for terminals and log files."""
+"""Summary of a run, a comparison or a designed command in plain text, for terminals and log files."""
 
 import html
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.core.telling import Rows, align, escape_all
-from frictionzoo.report.text import escape_markdown, format_number, format_share
+from frictionzoo.core.telling import Rows, align, escape_all, say_percent
+from frictionzoo.report.text import escape_markdown, format_change, format_number, format_share
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known
 from frictionzoo.result.run_types import FAR, WrittenRow
@@ -17,6 +17,7 @@ from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, 
 from frictionzoo.result.verdict import say_finding, say_purposes
 
 _format_value = partial(format_number, between=" ")
+_format_change = partial(format_change, signs="-++")
 
 ERRORS = {  # row of the table: key of the metric, key of its unit
     "position MAE": ("position_mae", "unit"),
@@ -116,6 +117,42 @@ def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: C
     ]
 
 
+def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
+    """Summarise `excitation.json`: accuracy of each parameter, use of the limits, and the folder of the files."""
+    note = escape_all(note)
+    command, noise = note["command"], note["noise"]
+    several = len(note["joints"]) > 1
+    rows = [("parameter", "value", "known to", "unit", "")]
+    for row in note["parameters"]:
+        identifiable = row["identifiable"]
+        # Missing: NaN, or null in the file.
+        share = "" if row["share"] is None or row["share"] != row["share"] else say_percent(row["share"])
+        width = f"+- {row['half_width']:.2g}" if identifiable else ""
+        rows.append(
+            (row["name"], f"{row['value']:.4g}", width, row["unit"], share if identifiable else "not identifiable")
+        )
+    used: list[tuple[str, ...]] = [
+        ("in MuJoCo C", *(["joint"] if several else []), "from", "to", "allowed", "unit", "of the limit")
+    ]
+    for row in note["limits"]:
+        low, high = row["allowed"]
+        joint = [row["joint"]] if several else []
+        reached = [f"{end:.4g}" for end in row["reached"]]
+        share = f"{100 * row['share']:.0f} %"
+        used.append((row["quantity"], *joint, *reached, f"{low:.4g} to {high:.4g}", row["unit"], share))
+    return "\n\n".join(
+        [
+            f"{command['seconds']:g} s at {command['rate']:g} samples/s, soft within {command['ramp']:g} s at both "
+            f"ends.\nExpected of a fit of segments of {note['fit']['length']} samples, with an encoder step of "
+            f"{noise['quantum']:.3g},\nposition noise of {noise['position_noise']:.3g} and velocity noise of "
+            f"{noise['velocity_noise']:.3g}:",
+            align(rows),
+            align(used),
+            f"files: {folder}",
+        ]
+    )
+
+
 def _list_runs(comparison: Comparison) -> Rows:
     evaluation, unit = comparison["evaluation"], comparison["unit"]
     best = comparison["runs"][0]["label"]
@@ -151,8 +188,8 @@ def _list_parameters(result: Result) -> Rows:
         for row in merge_known(parameter["by_joint"]) if several else parameter["by_joint"]:
             joint, status = [row["name"]] if several else [], say_status(row)
             status = "at a bound" if several and row["at_bound"] else status
-            cells = _format_value(row["value"]), _format_interval(row["interval"])
-            rows.append((name, *joint, *cells, parameter["unit"], status))
+            interval = "" if row["interval"] is None else "{:.4g} to {:.4g}".format(*row["interval"])
+            rows.append((name, *joint, _format_value(row["value"]), interval, parameter["unit"], status))
             name = ""  # only in the first row of a parameter
     if result["network"]:
         joint = [""] if several else []  # the model determines which joints it covers
@@ -236,14 +273,6 @@ def say_status(parameter: ParameterRow | ValueRow) -> str:
     if not parameter["identified"]:
         return "known"
     return "not identifiable" if parameter["identifiable"] is False else "identified"
-
-
-def _format_interval(interval: Sequence[Any] | None) -> str:
-    return "" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
-
-
-def _format_change(value: float | None, reference: float | None) -> str:
-    return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
 
 
 def _tabulate_in_markdown(rows: Rows) -> str:

@@ -25,12 +25,12 @@ def format_unit(unit: str) -> str:
     return "" if unit == "1" else unit.replace("^2", "²")
 
 
-def format_change(value: float | None, reference: float | None) -> str:
-    """Format the relative change; empty if there is nothing to compare."""
+def format_change(value: float | None, reference: float | None, signs: str = "−±+") -> str:
+    """Format the relative change, with `signs` for less, the same and more; empty if there is nothing to compare."""
     if value is None or not reference:
         return ""
     percent = round(100 * (value / reference - 1))
-    return f"{'−' if percent < 0 else '+' if percent > 0 else '±'}{abs(percent)} %"
+    return f"{signs[1 + (percent > 0) - (percent < 0)]}{abs(percent)} %"
 
 
 def format_share(value: float | None, whole: float | None) -> str:

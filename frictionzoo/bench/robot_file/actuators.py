@@ -17,7 +17,7 @@ from frictionzoo.bench.robot_file.dc_motors import (
 )
 from frictionzoo.bench.robot_file.source import Source, listed
 
-_AT_JOINT = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+AT_JOINT = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 _FILTERS = {int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)}
 _ROUNDING = 1e-9  # of a step
 _ACTING = {  # transmissions other than a joint, for notes
@@ -40,13 +40,14 @@ def read_friction(source: Source, joints: Sequence[int]) -> dict[str, Float[np.n
     """Return the bristle friction of each joint, by the parameter names of `lugre`; NaN if the file has none."""
     model, motors = source.model, dict[int, list[int]]()
     for joint in joints:
-        indices = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
+        indices = [index for index in list_at(model, joint) if is_dc_motor(model, index)]
         motors[joint] = [index for index in indices if model.actuator_gear[index, 0] and not _is_disabled(model, index)]
     return read_bristles(source, motors)
 
 
-def _list_at(model: mujoco.MjModel, joint: int) -> list[int]:
-    at_joint = np.isin(model.actuator_trntype, list(_AT_JOINT)) & (model.actuator_trnid[:, 0] == joint)
+def list_at(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Return the indices of a joint's actuators."""
+    at_joint = np.isin(model.actuator_trntype, list(AT_JOINT)) & (model.actuator_trnid[:, 0] == joint)
     return [int(index) for index in np.flatnonzero(at_joint)]
 
 
@@ -65,12 +66,12 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
     """Return the damping of each joint, including its actuators' [N m s/rad or N s/m]; nonlinear damping is noted."""
     model = source.model
     nonlinear = [j for j in joints if model.dof_dampingpoly[source.dof(j)].any()]
-    nonlinear += [j for j in joints if model.actuator_dampingpoly[_list_at(model, j)].any()]
+    nonlinear += [j for j in joints if model.actuator_dampingpoly[list_at(model, j)].any()]
     if nonlinear:
         names = listed([model.joint(joint).name for joint in nonlinear])
         source.notes.append(f"nonlinear damping of joint {names}: only the coefficient of qvel is kept")
     damping = [model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints]
-    motors = [[index for index in _list_at(model, joint) if is_dc_motor(model, index)] for joint in joints]
+    motors = [[index for index in list_at(model, joint) if is_dc_motor(model, index)] for joint in joints]
     back_emf = [
         sum(read_back_emf(model, index) for index in indices if _why_not(model, index) is None) for indices in motors
     ]
@@ -78,7 +79,7 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
 
 
 def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> float:
-    return float(sum(model.actuator_gear[index, 0] ** 2 * ofactuators[index] for index in _list_at(model, joint)))
+    return float(sum(model.actuator_gear[index, 0] ** 2 * ofactuators[index] for index in list_at(model, joint)))
 
 
 def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
@@ -90,7 +91,7 @@ def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
     elsewhere = [
         _name(model, index)
         for index in range(model.nactuator)
-        if int(model.actuator_trntype[index]) in _AT_JOINT and int(model.actuator_trnid[index, 0]) not in joints
+        if int(model.actuator_trntype[index]) in AT_JOINT and int(model.actuator_trnid[index, 0]) not in joints
     ]
     if elsewhere:
         yield f"left out: {len(elsewhere)} actuators of joints that are not chosen, {listed(elsewhere)}"
@@ -98,7 +99,7 @@ def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
 
 def _read_joint(source: Source, joint: int) -> ReadActuator | None:
     model, readable = source.model, list[ReadActuator]()
-    for index in _list_at(model, joint):
+    for index in list_at(model, joint):
         reason, name = _why_not(model, index), _name(model, index)
         if reason:
             source.notes.append(f"actuator {name} of joint {model.joint(joint).name} is left out: {reason}")

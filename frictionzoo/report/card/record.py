@@ -1,8 +1,10 @@
 """`card.json`: the machine-readable part of a card; `card.schema.json` in this folder describes it."""
 
 import copy
+import hashlib
 import inspect
 import json
+import math
 import shlex
 from collections.abc import Mapping
 from importlib import resources
@@ -12,10 +14,11 @@ from typing import Any, Final, cast
 import numpy as np
 from omegaconf import OmegaConf
 
+from frictionzoo.bench.read_bam import read_bam
 from frictionzoo.core.anonymous import last_of, list_paths_of, without_paths
-from frictionzoo.report.card.origin import read_origin
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.report.card.portable import describe_bench
-from frictionzoo.report.card.types import Card, LawRow, VisitedRow
+from frictionzoo.report.card.types import Card, LawRow, OriginRow, VisitedRow
 from frictionzoo.report.text import to_markdown
 from frictionzoo.result.fitted_drive import FittedDrive
 
@@ -25,6 +28,7 @@ PICTURE = "friction.png"
 PAGE = "README.md"
 CARD_VERSION: Final = 4
 STATED = ("supply", "temperature", "payload")
+_ROUNDED = 1e-6  # relative difference allowed between a float32 value of the run and the file
 _OVERRIDES = Path(".hydra", "overrides.yaml")
 
 
@@ -55,7 +59,7 @@ def build_card(drive: FittedDrive, stated: Mapping[str, str], files: Mapping[str
             "visited": _list_visited(drive),
             "fastest": float(np.abs(drive.curves.velocity).max()),
         },
-        "origin": read_origin(drive, stated),
+        "origin": _read_origin(drive, stated),
         "command": _read_command(drive.folder),
         "files": dict(files),
         "result": _make_portable(drive),
@@ -104,3 +108,43 @@ def _make_portable(drive: FittedDrive) -> dict[str, Any]:
     for log in result["data"]["logs"]:
         log["name"] = last_of(log["name"])
     return result
+
+
+def _read_origin(drive: FittedDrive, options: Mapping[str, str]) -> OriginRow | None:
+    """Return the origin of a drive whose values come from a BAM parameter file; None without such a file.
+
+    `options` has `bam`, the file, and `source`, who published it and where; or neither.
+
+    Raises:
+        ConfigError: The run identified its values, its model or values differ from the file's, or the file is not a BAM
+            parameter file.
+    """
+    if "bam" not in options:
+        return None
+    path = Path(options["bam"])
+    published = read_bam(path)
+    if (method := drive.result["fit"]["method"]) != "known":
+        raise ConfigError(
+            f"bam={path}: the run identified its values (fit={method}), expected the file's values; run it with "
+            f"$(python -m frictionzoo.bench.read_bam {path})"
+        )
+    if drive.result["model"] != published.model:
+        raise ConfigError(
+            f"bam={path}: its model is {published.model}, the run's {drive.result['model']}; name the run's own file"
+        )
+    expected = {f"bench.{name}": value for name, value in published.bench.items()}
+    expected |= {f"friction.{name}": value for name, value in published.friction.items()}
+    for name, value in expected.items():
+        # A delay or an offset that is fixed at 0 is not a parameter of the drive.
+        run_values = drive.parameters[name].value.tolist() if name in drive.parameters else [0.0]
+        if not all(math.isclose(run_value, value, rel_tol=_ROUNDED) for run_value in run_values):
+            raise ConfigError(f"bam={path}: {name} is {value:g}, in the run {run_values[0]:g}; name the run's own file")
+    return {
+        "project": "BAM",
+        "file": path.name,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "drive": published.actuator,
+        "law": published.bam,
+        "source": options["source"],
+        "remarks": list(published.remarks),
+    }

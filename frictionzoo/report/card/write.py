@@ -2,8 +2,9 @@
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import safetensors.torch
@@ -13,19 +14,18 @@ from frictionzoo import __version__
 from frictionzoo.core.anonymous import find_paths
 from frictionzoo.core.errors import ConfigError, RunError, closest
 from frictionzoo.core.output import take_place, to_json, write_atomically, write_json
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import open_template, write_yaml
-from frictionzoo.report.card import origin
 from frictionzoo.report.card.portable import TEMPLATE, write_template
 from frictionzoo.report.card.record import CARD, MODEL, PAGE, PICTURE, STATED, build_card, read_schema, title_of
 from frictionzoo.report.card.types import Card
-from frictionzoo.report.friction_plots import save_portraits
+from frictionzoo.report.run_plots import find_units, save_portraits
 from frictionzoo.report.terminal import tabulate_errors, tabulate_values
 from frictionzoo.report.text import escape_markdown, format_number
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.record import refuse_invalid
+from frictionzoo.result.types import Result
 
-OPTIONS = ("licence", "output", "name", *STATED, *origin.STATED)
+OPTIONS = ("licence", "output", "name", *STATED, "bam", "source")
 FOLDER = "card"  # default output, in the run's folder
 _MODELS = ("identified.xml", "identified.urdf", "bench.xml")  # model files of a run
 FILES = {
@@ -38,7 +38,6 @@ FILES = {
     PICTURE: "the figure above",
 }
 """Files of a card, except its page."""
-_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
 
 
 def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str]]:
@@ -62,13 +61,11 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
         if not drive.curves.portraits:
             raise RunError(f"{folder}: no friction curve, expected one; a newer frictionzoo writes it: identify again")
         _write_files(drive, fresh, options)
-    return place, list(_list_left(place))
-
-
-def _list_left(place: Path) -> Iterator[str]:
-    for path in (place / name for name in _MODELS if (place / name).exists()):
-        for text in find_paths(path.read_bytes()):
-            yield f"{path}: contains the path {text} of the robot file; remove it from that file before you publish"
+    return place, [
+        f"{path}: contains the path {text} of the robot file; remove it from that file before you publish"
+        for path in (place / name for name in _MODELS if (place / name).exists())
+        for text in find_paths(path.read_bytes())
+    ]
 
 
 def _refuse_impossible(options: Mapping[str, str]) -> None:
@@ -79,12 +76,14 @@ def _refuse_impossible(options: Mapping[str, str]) -> None:
             raise ConfigError(f"{option}={value!r}: expected one line of text")
     if "licence" not in options:
         raise ConfigError("licence is missing; state the licence of the card, such as licence=cc-by-4.0")
-    if not _LICENCE.fullmatch(options["licence"]):
+    if not re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", options["licence"]):
         raise ConfigError(
             f"licence={options['licence']}: expected a lower-case identifier of model hubs, such as "
             "cc-by-4.0 or apache-2.0"
         )
-    origin.refuse_half(options)
+    for present, missing, hint in (("bam", "source", "who published it and where"), ("source", "bam", "the file")):
+        if present in options and missing not in options:
+            raise ConfigError(f"{present}={options[present]}: {missing} is missing; say {hint}, {missing}=...")
 
 
 def _write_files(drive: FittedDrive, folder: Path, options: Mapping[str, str]) -> None:
@@ -107,10 +106,9 @@ def _write_files(drive: FittedDrive, folder: Path, options: Mapping[str, str]) -
 
 def render_page(card: Card) -> str:
     """Render the card's page in Markdown, with the metadata header for model hubs."""
-    result = card["result"]
-    units = UNITS["slide" if result["metrics"]["test"]["unit"] == "m" else "hinge"]
-    tables = {"values": tabulate_values(result), "errors": tabulate_errors(result)}  # pyright: ignore[reportArgumentType]
-    content = {"card": card, "result": result, "units": units, "picture": PICTURE, "files": FILES, **tables}
+    result = cast(Result, card["result"])
+    tables = {"values": tabulate_values(result), "errors": tabulate_errors(result), "units": find_units(result)}
+    content = {"card": card, "result": result, "picture": PICTURE, "files": FILES, **tables}
     filters = {
         "number": format_number,
         "plain": escape_markdown,
