@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Affine
 from frictionzoo.bench.delay import stretch, write_delay
-from frictionzoo.bench.robot_file.actuator import ReadActuator
 from frictionzoo.bench.robot_file.actuators import list_at, read_actuators, read_armature, read_damping, read_friction
+from frictionzoo.bench.robot_file.controllers import ReadActuator
 from frictionzoo.bench.robot_file.source import Source, load
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError, closest
