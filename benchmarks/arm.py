@@ -27,7 +27,7 @@ from frictionzoo.bench.inertia import LogCholesky, inertial_parameters, is_consi
 from frictionzoo.core.log import Log
 from frictionzoo.fit import InverseDynamics, Space
 from frictionzoo.fit.link_inertia import LinkInertia
-from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.torque_balance import Links, balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import FrictionModel

@@ -16,10 +16,9 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base_parameters import BaseParameters
 from frictionzoo.bench.inertia import SYMBOLS
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.tilt import Tilt
-from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.fit.uncertainty import Covariance, Uncertainty
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.report.run_page import check_result, write_report
 from frictionzoo.report.terminal import summarise

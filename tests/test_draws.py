@@ -18,7 +18,7 @@ import frictionzoo as fz
 from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
-from frictionzoo.fit.covariance import Covariance
+from frictionzoo.fit.uncertainty import Covariance
 from frictionzoo.result import draws
 from frictionzoo.result.band import predict_band
 

@@ -250,7 +250,7 @@ def test_reference_is_the_optimum() -> None:
 def test_reference_is_kept_for_the_same_objective_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     objective = pose("baseline").objective
     first = identified(fit_reference(objective, tmp_path))
-    monkeypatch.setattr("frictionzoo.fit.reference.LevenbergMarquardt", None)  # it is not asked again
+    monkeypatch.setattr("frictionzoo.fit.start.LevenbergMarquardt", None)  # it is not asked again
     assert identified(fit_reference(objective, tmp_path)) == first
     other = copy.copy(objective)
     other.data = objective.data._replace(weight=0.5 * objective.data.weight)

@@ -16,8 +16,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit.chunk import search
-from frictionzoo.fit.impulse import impulses, is_moving, rigid_inertia_of
-from frictionzoo.fit.loss import Loss
+from frictionzoo.fit.loss import Loss, impulses, is_moving, rigid_inertia_of
 
 IMPULSE = {"position": 0.0, "velocity": 1.0, "refine": False, "impulse": True, "by_joint": True}
 

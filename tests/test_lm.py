@@ -134,7 +134,7 @@ def test_positions_rounded_to_an_encoder_s_steps_are_fitted_in_a_few_iterations(
     progress, _ = search(LevenbergMarquardt(60, 1e-6), objective)
     assert progress.converged and progress.iteration <= 9  # 12 with J' J
     # From the states that were found there, the same vector has the same loss.
-    found = objective.beginning(progress.method.states).compile_normal_equations()(np.asarray(progress.best))
+    found = objective.beginning(progress.method.begun).compile_normal_equations()(np.asarray(progress.best))
     assert found.loss == pytest.approx(progress.best_loss, rel=1e-6)
 
 

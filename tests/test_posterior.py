@@ -18,13 +18,13 @@ from conftest import BRIEF
 import frictionzoo as fz
 from frictionzoo.core.errors import ConfigError, FitError, RunError
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.inverse_dynamics import InverseDynamics
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.posterior import MOST_COORDINATES, Chains, Fitted, adjust, draw_posterior
 from frictionzoo.fit.posterior import _refuse_disagreement as refuse_disagreement
+from frictionzoo.fit.uncertainty import Covariance
 
 pytest.importorskip("blackjax", reason="the extra posterior is not installed")
 

@@ -18,7 +18,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.fit import Fit, InverseDynamics, Space
 from frictionzoo.fit.known import Known
-from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.motion import Recordings
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.models.registry import get_model
 from frictionzoo.result.torque import choose_filtering, measure_torque

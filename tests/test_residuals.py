@@ -12,8 +12,7 @@ from frictionzoo.api.library import law
 from frictionzoo.bench import Bench, Force
 from frictionzoo.core.log import Log
 from frictionzoo.fit import Space
-from frictionzoo.fit.motion import Filtering
-from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.motion import Filtering, Recordings
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.attribution import Candidate, attribute
 from frictionzoo.result.residuals import Left, describe_residual, find_left

@@ -17,10 +17,10 @@ from frictionzoo.fit import LevenbergMarquardt, Several
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.contained import Part
 from frictionzoo.fit.lm import descend
+from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.several import _is_near
-from frictionzoo.fit.torque_balance import Box
+from frictionzoo.fit.space import Box
 from frictionzoo.models import model_names
 from frictionzoo.models.registry import get_model
 

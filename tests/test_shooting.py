@@ -17,7 +17,6 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit import blocks as blocks_module
-from frictionzoo.fit.blocks import alone
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loss import Loss
 from frictionzoo.fit.normal_equations import NormalEquations, compress
@@ -76,10 +75,10 @@ def test_a_forgotten_velocity_takes_nothing_but_what_its_position_takes(bench: B
     rng = np.random.default_rng(0)
     slopes, by_state = rng.normal(size=(2, 1, 5, 60)), rng.normal(size=(4, 1, 5, 60))
     by_state[2:] = by_state[:2] * np.array([1e-3, -3e-9])[:, None, None, None] * (1 + 1e-15 * rng.normal(size=60))
-    local = objective._shooting.local(jnp.zeros((1, 5, 60)), jnp.asarray(by_state))
+    local = objective._residuals.shooting.local(jnp.zeros((1, 5, 60)), jnp.asarray(by_state))
     mixed = Mixed(jnp.einsum("ibsk,jbsk->bsij", by_state, slopes), jnp.zeros(()))
-    blocks = alone(jax.tree.map(lambda part: part[0], objective.data))._replace(weight=jnp.ones((1, 5)))
-    taken = objective._shooting.eliminate(local, mixed, blocks)[1][0]
+    blocks = jax.tree.map(lambda part: part[:1], objective.data)._replace(weight=jnp.ones((1, 5)))
+    taken = objective._residuals.shooting.eliminate(local, mixed, blocks)[1][0]
     expected = np.zeros((2, 2))
     for own, by_own in zip(slopes[:, 0].swapaxes(0, 1), by_state[:2, 0].swapaxes(0, 1), strict=True):
         expected += own @ by_own.T @ np.linalg.solve(by_own @ by_own.T, by_own @ own.T)

@@ -5,8 +5,8 @@ from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import run_fit
 from frictionzoo.fit.module import Outcome
 from frictionzoo.fit.objective import Objective
-from frictionzoo.fit.reference import fit_reference
 from frictionzoo.fit.space import Space
+from frictionzoo.fit.start import fit_reference
 from frictionzoo.fit.uncertainty import estimate_uncertainty
 
 __all__ = [

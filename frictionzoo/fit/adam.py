@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import optax
 
 from frictionzoo.core.errors import ConfigError, closest
-from frictionzoo.fit.base import Fit, Seen, as_start, refuse_nothing, register_method
+from frictionzoo.fit.base import Evaluation, Fit, as_start, refuse_nothing, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.objective import Objective
 
@@ -72,13 +72,13 @@ class Adam(Fit):
         """See `Fit.init`."""
         return objective.space.start, self._optimiser.init(objective.space.start)
 
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """See `Fit.step`."""
         loss, gradient = objective.value_and_grad(self._derivative)(vector, data)
         updates, moments = self._optimiser.update(gradient, state, vector)
         moved = jnp.asarray(optax.apply_updates(vector, updates))
         diverged = ~jnp.isfinite(loss) | ~jnp.isfinite(gradient).all()
-        return Seen(loss, gradient, diverged), jnp.clip(moved, objective.space.low, objective.space.high), moments
+        return Evaluation(loss, gradient, diverged), jnp.clip(moved, objective.space.low, objective.space.high), moments
 
     def prepare(self, objective: Objective) -> None:
         """See `Fit.prepare`; evaluates the gradient of a model that exists only in torch once."""

@@ -4,7 +4,7 @@ from typing import Any
 
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.fit.adam import Adam
-from frictionzoo.fit.base import Fit, Seen, register_method
+from frictionzoo.fit.base import Evaluation, Fit, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.lm import MOST_COORDINATES, MOST_TRIES, LevenbergMarquardt
 from frictionzoo.fit.objective import Objective
@@ -53,6 +53,6 @@ class Auto(Fit):
         """See `Fit.total`; raises ConfigError if there is no parameter to identify."""
         return self.choose(objective).total(objective)
 
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """See `Fit.step`; the method of `choose` does it."""
         return self.choose(objective).step(objective, vector, state, data)

@@ -1,11 +1,9 @@
 """Interface of a fit method: its start, one iteration, and whether it has converged."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.core.described import Described
@@ -13,18 +11,12 @@ from frictionzoo.core.errors import ConfigError, refuse_unlike
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia
-from frictionzoo.fit.motion import Filtering
-from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.motion import Filtering, Recordings
+from frictionzoo.fit.normal_equations import Scores
 from frictionzoo.fit.objective import Objective
-from frictionzoo.fit.recordings import Recordings
-
-Scores = Callable[
-    [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
-]
-"""Function of a vector that gives the normal equations there, and the gradient of each stretch of time."""
 
 
-class Seen(NamedTuple):
+class Evaluation(NamedTuple):
     """Evaluation at a vector: objective, gradient (zeros if unused), and whether the method cannot continue from it."""
 
     loss: Any
@@ -73,7 +65,7 @@ class Fit(Described, ABC):
         return objective.space.start, ()
 
     @abstractmethod
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """Do one iteration: evaluate the vector, of shape (coordinates,).
 
         `data` is the data argument of the objective's functions.
@@ -105,10 +97,10 @@ class Search(Fit):
         """See `Fit.init`."""
         return self.candidate(objective, jnp.asarray(0)), jnp.asarray(0)
 
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """See `Fit.step`. A loss that is not finite does not end the search."""
         following = state + 1
-        evaluation = Seen(objective.loss(vector, data), jnp.zeros_like(vector), lost=False)
+        evaluation = Evaluation(objective.loss(vector, data), jnp.zeros_like(vector), lost=False)
         return evaluation, self.candidate(objective, following), following
 
 

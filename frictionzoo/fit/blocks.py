@@ -1,9 +1,8 @@
 """Segments in blocks that fit into a processor's cache, spread over the devices."""
 
 import operator
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +11,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 
 from frictionzoo.core.segments import Segments
-from frictionzoo.core.threads import usable_threads
 from frictionzoo.simulation.rollout import Rollout
 from frictionzoo.simulation.torch_rollout import TorchRollout
 
-T = TypeVar("T")
 BLOCK_STATES = 25_000
 """Joint states simulated at once; they fit into a processor's cache and bound the memory."""
 
@@ -98,17 +95,6 @@ def each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Block
     """Yield each block with the initial states of its segments and of the segments after them."""
     for index, block in enumerate(each(data)):
         yield block, states[0][index], states[1][index]
-
-
-def side_by_side(function: Callable[[Any], T], parts: Iterable[Any], devices: int) -> list[T]:
-    """Apply a function to all parts, on one device in threads, which pay off for blocks but not for operations."""
-    with ThreadPoolExecutor(usable_threads() if devices == 1 else 1) as pool:
-        return list(pool.map(function, parts))
-
-
-def alone(block: Blocks) -> Blocks:
-    """Return data of this block alone."""
-    return jax.tree.map(lambda part: part[None], block)
 
 
 def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:

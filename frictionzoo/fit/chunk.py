@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit.base import Fit, Search, Seen
+from frictionzoo.fit.base import Evaluation, Fit, Search
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.objective import Objective
 
@@ -105,7 +105,7 @@ def _is_traced(fit: Fit, objective: Objective) -> bool:
     return fit.traced and not objective.torch_law
 
 
-def _advance(xp: Any, progress: Progress, seen: Seen, vector: Any, method: Any, converged: Any) -> Progress:
+def _advance(xp: Any, progress: Progress, seen: Evaluation, vector: Any, method: Any, converged: Any) -> Progress:
     gradient = xp.asarray(seen.gradient, progress.vector.dtype)
     following = _keep_best(xp, progress, seen.loss)._replace(
         iteration=progress.iteration + 1,
@@ -202,7 +202,7 @@ def _try_from_python(fit: Fit, objective: Objective, size: int) -> Chunk:
             if progress.broken or progress.converged:
                 break
         # The best loss keeps the method's precision, so that the lower of two close losses wins.
-        arrays = {name: jnp.asarray(value) for name, value in progress._asdict().items() if name in _ARRAYS}
+        arrays = {name: jnp.asarray(getattr(progress, name)) for name in _ARRAYS}
         return progress._replace(**arrays), Trace(losses, norms, dict(identified(jnp.asarray(vectors))))
 
     return chunk

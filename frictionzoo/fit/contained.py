@@ -1,21 +1,17 @@
 """Nested models: their coordinates within those of the fitted model."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from frictionzoo.core.params import Param
-from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.space import Space
-from frictionzoo.fit.torque_balance import Box
+from frictionzoo.fit.normal_equations import Evaluate, NormalEquations
+from frictionzoo.fit.space import Box, Space
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import Within
 from frictionzoo.models.registry import get_model
-
-Evaluate = Callable[[Float[np.ndarray, "coordinates"]], NormalEquations]
-"""Function that returns the normal equations at a vector."""
 
 
 @dataclass(frozen=True)
@@ -35,31 +31,25 @@ class Part:
     space: Space
     at: Float[np.ndarray, "coordinates"]
     spread: Float[np.ndarray, "coordinates own"]
-    places: Mapping[str, Int[np.ndarray, "_"]]
-    known: Mapping[str, np.ndarray]
+    places: Mapping[str, Int[np.ndarray, "_"]] = field(default_factory=dict)
+    known: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: FrictionModel | None, space: Space) -> "Part":
         """Return the part of the fitted model itself; without a model, coordinates without parameters."""
-        size = len(space.start)
+        start, spread = np.zeros(len(space.start)), np.eye(len(space.start))
         if model is None:
-            return cls(FrictionModel, space, np.zeros(size), np.eye(size), {}, {})
+            return cls(FrictionModel, space, start, spread)
         owners = [label.partition("/")[0] for label in space.labels]
         places = {name: np.flatnonzero([owner == f"friction.{name}" for owner in owners]) for name in model.params}
         known = {name: param.each("init", model.nv) for name, param in model.params.items() if not len(places[name])}
-        return cls(
-            type(model),
-            space,
-            np.zeros(size),
-            np.eye(size),
-            {name: indices for name, indices in places.items() if len(indices)},
-            known,
-        )
+        places = {name: indices for name, indices in places.items() if len(indices)}
+        return cls(type(model), space, start, spread, places, known)
 
     @property
     def box(self) -> Box:
         """Start and bounds of the model's coordinates; the narrowest bounds where it merges several into one."""
-        start, low, high = (np.asarray(x, np.float64) for x in (self.space.start, self.space.low, self.space.high))
+        start, low, high = self.space.box
         mask = self.spread > 0
         return Box(
             self.own(start),
@@ -88,8 +78,8 @@ class Part:
         """Return the objective as a function of the model's coordinates."""
 
         def of_own(own: Float[np.ndarray, "own"]) -> NormalEquations:
-            loss, gradient, hessian, states = evaluate(self.whole(own))
-            return NormalEquations(loss, self.spread.T @ gradient, self.spread.T @ hessian @ self.spread, states)
+            loss, gradient, hessian, begun = evaluate(self.whole(own))
+            return NormalEquations(loss, self.spread.T @ gradient, self.spread.T @ hessian @ self.spread, begun)
 
         return of_own
 

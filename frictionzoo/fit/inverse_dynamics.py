@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit.base import Fit, Scores, Seen, refuse_nothing, refuse_torch, register_method
+from frictionzoo.fit.base import Evaluation, Fit, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia, identify_links, spread_of
-from frictionzoo.fit.lm import MOST_COORDINATES
-from frictionzoo.fit.motion import BANDWIDTH, Filtering
+from frictionzoo.fit.lm import refuse_many
+from frictionzoo.fit.motion import BANDWIDTH, Filtering, Recordings
+from frictionzoo.fit.normal_equations import Scores
 from frictionzoo.fit.objective import Objective
-from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.tilt import Tilt, Tilted
 from frictionzoo.fit.torque_balance import balance
@@ -22,6 +22,7 @@ from frictionzoo.fit.torque_equation import TorqueEquation
 
 _log = logging.getLogger(__name__)
 _PASSES, _LEVEL = 10, 1e-5  # rounds of links and gravity, and change of the leaning below which they have converged
+_REMEDY = "fit=inverse_dynamics", "use fit=adam, which begins at the initial values"
 PRIOR: Mapping[str, float] = {"mass": 0.1, "centre": 0.02, "size": 0.3}
 
 
@@ -86,7 +87,7 @@ class InverseDynamics(Fit):
         if not self._links and not self._tilt:
             return None
         space = Space(bench, model, jnp.result_type(float))
-        _refuse_many(space)
+        refuse_many(space, *_REMEDY)
         if self._tilt:
             return self._revise_leaning(recordings, space)
         equation = TorqueEquation(space, recordings, self.filtering, self.held)
@@ -99,14 +100,11 @@ class InverseDynamics(Fit):
         for _ in range(_PASSES):
             leaning = bench.with_gravity(tilt.gravity.tolist())
             equation = TorqueEquation(space, recordings._replace(bench=leaning), self.filtering, self.held)
-            tilted = Tilted.about(equation, tilt, weighed)
+            tilted = Tilted(equation, tilt, weighed)
             result = identify_links(tilted, leaning.compile(constraint=False), self._links, self._prior)
             assert result.tilt is not None
-            change, tilt, weighed = (
-                np.abs(result.tilt.leaning - tilt.leaning),
-                result.tilt,
-                bench.with_inertia(result.inertia),
-            )
+            change, weighed = np.abs(result.tilt.leaning - tilt.leaning), bench.with_inertia(result.inertia)
+            tilt = result.tilt
             if (change < _LEVEL).all():
                 break
         return result
@@ -119,7 +117,7 @@ class InverseDynamics(Fit):
             raise ConfigError(
                 "fit=inverse_dynamics: another drive's rollouts to follow, expected recordings; use fit=lm"
             )
-        _refuse_many(objective.space)
+        refuse_many(objective.space, *_REMEDY)
         return 2
 
     def equation(self, objective: Objective) -> TorqueEquation:
@@ -135,11 +133,11 @@ class InverseDynamics(Fit):
         """See `Fit.init`."""
         return objective.space.start, np.asarray(0)
 
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """See `Fit.step`; the first iteration finds the minimum, the second evaluates it."""
         equation = self.equation(objective)
         equations, _ = equation.scores(np.asarray(vector, np.float64))
-        evaluation = Seen(equations.loss, 2 * equations.gradient, not np.isfinite(equations.loss))
+        evaluation = Evaluation(equations.loss, 2 * equations.gradient, not np.isfinite(equations.loss))
         if state == 0 and not evaluation.lost:
             vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
             for (one, other), share in equation.couplings(vector).items():
@@ -162,12 +160,3 @@ class InverseDynamics(Fit):
     def compile_scores(self, objective: Objective) -> Scores:
         """See `Fit.compile_scores`; uses the residual torque."""
         return self.equation(objective).scores
-
-
-def _refuse_many(space: Space) -> None:
-    coordinates = len(space.start)
-    if coordinates > MOST_COORDINATES:
-        raise ConfigError(
-            f"fit=inverse_dynamics: {coordinates} coordinates ({space.names[-1]} among them), expected at most "
-            f"{MOST_COORDINATES}; use fit=adam, which begins at the initial values"
-        )

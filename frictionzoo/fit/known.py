@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit.base import Fit, Seen, register_method
+from frictionzoo.fit.base import Evaluation, Fit, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.objective import Objective
 
@@ -23,7 +23,7 @@ class Known(Fit):
             )
         return 1
 
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """See `Fit.step`."""
         loss = objective.loss(vector, data)
-        return Seen(loss, jnp.zeros_like(vector), ~jnp.isfinite(loss)), vector, state
+        return Evaluation(loss, jnp.zeros_like(vector), ~jnp.isfinite(loss)), vector, state

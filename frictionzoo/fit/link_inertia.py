@@ -13,7 +13,7 @@ from frictionzoo.bench.base_parameters import BaseParameters, find_base_paramete
 from frictionzoo.bench.inertia import COORDINATES, SYMBOLS, from_parameters
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.fit.tilt import Tilt, Tilted
-from frictionzoo.fit.torque_balance import Balance, Links, balance, invert
+from frictionzoo.fit.torque_balance import Balance, Links, append_links, balance, invert
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 DETERMINED = 1 / 3
@@ -78,12 +78,6 @@ class LinkInertia:
         yield f"{mask.sum()} of {len(mask)} combinations of parameters are determined by the data, not by the prior"
         if self.prior_only:
             yield f"only the prior: {', '.join(self.prior_only)}"
-
-    def base_lines(self) -> Iterator[str]:
-        """Yield a line for each base parameter, with its standard error from the data alone."""
-        rows = zip(self.base.describe(), self.values, self.errors, self.determined, strict=True)
-        for text, value, error, determined in rows:
-            yield f"{text}: {value:.4g} +- {error:.2g}{'' if determined else ', not determined by the data'}"
 
 
 def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
@@ -151,9 +145,7 @@ def _base(
     equation: TorqueEquation | Tilted, found: Balance, links: Links | None, names: Sequence[str]
 ) -> tuple[BaseParameters, Float[np.ndarray, "all"]]:
     """Return the base parameters of the recordings, and the derivative of physical values by coordinates."""
-    columns = equation.slope(found.vector)
-    if links is not None:
-        columns = np.concatenate([columns, -links.regressor.reshape(*columns.shape[:2], -1)], axis=-1)
+    columns = append_links(equation.slope(found.vector), links)
     step = 1e-6 * np.ones(len(found.vector))
     moved = (equation.physical(found.vector + step) - equation.physical(found.vector - step)) / (2 * step)
     scale = np.concatenate([np.where(moved != 0, moved, 1.0), np.ones(found.bodies.size)])

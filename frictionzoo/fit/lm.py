@@ -8,11 +8,11 @@ import scipy.optimize
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
-from frictionzoo.fit.base import Fit, Seen, as_start, refuse_nothing, refuse_torch, register_method
+from frictionzoo.fit.base import Evaluation, Fit, as_start, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.normal_equations import NormalEquations, bounded_step, compress
+from frictionzoo.fit.normal_equations import Evaluate, NormalEquations, bounded_step, compress
 from frictionzoo.fit.objective import Objective
-from frictionzoo.fit.torque_balance import Box
+from frictionzoo.fit.space import Box, Space
 
 MOST_TRIES = 10_000  # the Hessian of every try is kept; ten tries are usual
 MOST_COORDINATES = 200  # the Jacobian has a column per coordinate; more coordinates are a network's weights
@@ -33,7 +33,7 @@ class State(NamedTuple):
         loss: The objective at each vector tried, of shape (iterations,).
         gradient: Half its gradient, (iterations, coordinates).
         hessian: Half its approximate second derivative, (iterations, coordinates, coordinates).
-        states: Start of the search for initial states at the next vector; None where they are not estimated.
+        begun: Start of the search for initial states at the next vector; None where they are not estimated.
     """
 
     tried: np.ndarray
@@ -42,7 +42,7 @@ class State(NamedTuple):
     loss: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
-    states: Any
+    begun: Any
 
 
 @register_method("lm")
@@ -69,8 +69,7 @@ class LevenbergMarquardt(Fit):
 
     def __init__(self, iterations: int = 100, tolerance: float = 1e-8, start: Fit | None = None) -> None:
         refuse_outside("fit.iterations", iterations, 1, MOST_TRIES)
-        if not 0 < tolerance < 1:
-            raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
+        refuse_tolerance(tolerance)
         self.start = as_start(start)
         self._iterations = iterations
         self._tolerance = tolerance
@@ -79,37 +78,32 @@ class LevenbergMarquardt(Fit):
         """See `Fit.total`; refuses networks, whose Jacobian has too many columns, and models only in torch."""
         refuse_nothing(objective)
         refuse_torch(objective, self.name)
-        coordinates = len(objective.space.start)
-        if coordinates > MOST_COORDINATES:
-            raise ConfigError(
-                f"fit=lm: {coordinates} coordinates ({objective.space.names[-1]} among them), expected at most "
-                f"{MOST_COORDINATES}; use fit=adam"
-            )
+        refuse_many(objective.space, "fit=lm", "use fit=adam")
         return self._iterations
 
     def init(self, objective: Objective) -> tuple[Any, Any]:
         """See `Fit.init`."""
         start = np.asarray(objective.space.start, np.float64)
         equations = np.zeros(self._iterations), *(np.zeros((self._iterations, *[len(start)] * axes)) for axes in (1, 2))
-        state = State(np.asarray(0), start, np.asarray(False), *equations, states=objective.begun)
+        state = State(np.asarray(0), start, np.asarray(False), *equations, begun=objective.begun)
         asked = _ask(objective, state, self._tolerance).asked
         return start, state._replace(asked=asked)
 
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """See `Fit.step`; tries `state.asked`, the solver's vector in float64."""
-        result = objective.beginning(state.states).compile_normal_equations()(state.asked)
+        result = objective.beginning(state.begun).compile_normal_equations()(state.asked)
         row = int(state.tried)
         # The start must have finite equations; after a later vector without them the solver shortens its step.
         diverged = row == 0 and not result.finite
         equations = [part.copy() for part in (state.loss, state.gradient, state.hessian)]
         before = state.loss[:row]
         least = np.min(before, initial=np.inf, where=np.isfinite(before))  # of the vectors without divergence
-        states = result.states if is_near(result.loss, least) else state.states
+        begun = result.begun if is_near(result.loss, least) else state.begun
         for part, value in zip(equations, result[:3], strict=True):
             part[row] = value
-        following = State(np.asarray(row + 1), state.asked, state.ended, *equations, states=states)
+        following = State(np.asarray(row + 1), state.asked, state.ended, *equations, begun=begun)
         following = following if diverged else _ask(objective, following, self._tolerance)
-        return Seen(result.loss, 2 * result.gradient, diverged), following.asked, following
+        return Evaluation(result.loss, 2 * result.gradient, diverged), following.asked, following
 
     def done(self, state: Any) -> Any:
         """See `Fit.done`."""
@@ -118,6 +112,22 @@ class LevenbergMarquardt(Fit):
     def prepare(self, objective: Objective) -> None:
         """See `Fit.prepare`."""
         objective.compile_normal_equations()
+
+
+def refuse_many(space: Space, option: str, remedy: str) -> None:
+    """Raise ConfigError for more coordinates than a Jacobian has columns."""
+    coordinates = len(space.start)
+    if coordinates > MOST_COORDINATES:
+        raise ConfigError(
+            f"{option}: {coordinates} coordinates ({space.names[-1]} among them), expected at most {MOST_COORDINATES}; "
+            f"{remedy}"
+        )
+
+
+def refuse_tolerance(tolerance: float) -> None:
+    """Raise ConfigError if the tolerance is not between 0 and 1."""
+    if not 0 < tolerance < 1:
+        raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
 
 
 def is_near(loss: float, least: float) -> bool:
@@ -137,7 +147,7 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
     """
     space, asked = objective.space, [state.asked]
     tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
-    low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
+    start, low, high = space.box
     unit = float(state.loss[0]) or 1.0  # makes the tolerances relative to the initial loss
     replayed: list[NormalEquations] = []
 
@@ -172,7 +182,7 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
 
 
 def descend(
-    evaluate: Callable[[Float[np.ndarray, "coordinates"]], NormalEquations],
+    evaluate: Evaluate,
     box: Box,
     tries: int,
     tolerance: float,

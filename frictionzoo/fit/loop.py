@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import lightning.pytorch as pl
 import torch
-from lightning.pytorch.loggers import Logger
 from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
@@ -145,6 +144,7 @@ def _say_last(trace: Trace, room: int) -> str:
 def _train(module: FitModule, record: Record | None, checkpoint: Path | None, progress: bool) -> None:
     folder = record.folder if record else Path()
     callbacks: list[pl.Callback] = [_Saver(record.folder / "checkpoints" / CHECKPOINT)] if record else []
+    limits = module.objective.space.limits()
     # Lightning's advice about data loaders and GPUs does not apply: its loader holds one item.
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     claimed = claim(folder, "run") if record else contextlib.nullcontext()
@@ -155,7 +155,7 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
                 accelerator="cpu",
                 devices=1,
                 max_epochs=-1,
-                logger=_begin_record(record, module) if record else False,
+                logger=record.logger.start(folder, record.hyperparameters, limits) if record else False,
                 callbacks=[*callbacks, *([_ProgressBar()] if progress else [])],
                 plugins=[LightningEnvironment(), _AtomicFiles()],
                 enable_checkpointing=False,
@@ -168,10 +168,6 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
             raise OutputError(
                 f"{folder}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
-
-
-def _begin_record(record: Record, module: FitModule) -> Logger:
-    return record.logger.start(record.folder, record.hyperparameters, module.objective.space.limits())
 
 
 def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | None:

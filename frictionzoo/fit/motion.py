@@ -1,4 +1,4 @@
-"""Motion and torque of recordings for inverse dynamics: zero-phase filters and decimation."""
+"""Recordings of a fit, and their motion and torque for inverse dynamics: zero-phase filters and decimation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,9 +8,11 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Bool, Float
 
+from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError, LogError, refuse_outside
 from frictionzoo.core.log import Log
 from frictionzoo.data.signals import check_filter, smooth
+from frictionzoo.models import FrictionModel
 
 PASSED = 0.8  # pass band of the decimation filter, as a share of half the decimated sample rate
 _RIPPLE, _POLES = 0.05, 7  # ripple in dB and order of the decimation filter; an odd order passes constants unchanged
@@ -18,6 +20,14 @@ FEWEST = 10  # least number of decimated samples in a log
 WIDER = 5.0  # cut-off of the positions' filter as a multiple of the bandwidth
 BANDWIDTH = 20.0
 """Default frequency up to which torques are compared [Hz]."""
+
+
+class Recordings(NamedTuple):
+    """Bench, model and logs of a fit, ready for each other, for methods that need more than segments."""
+
+    bench: Bench
+    model: FrictionModel
+    logs: tuple[Log, ...]
 
 
 class Motion(NamedTuple):

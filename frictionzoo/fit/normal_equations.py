@@ -1,5 +1,6 @@
 """Normal equations: a sum of squares near a vector in a few numbers, in place of millions of residuals."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,18 +18,27 @@ class NormalEquations(NamedTuple):
         gradient: Half its gradient, J' r.
         hessian: Half the Gauss-Newton approximation of its second derivative, J' J, with `bend` where errors have a
             width.
-        states: Start of the search for initial states at another vector; None where they are not estimated.
+        begun: Start of the search for initial states at another vector; None where they are not estimated.
     """
 
     loss: float
     gradient: Float[np.ndarray, "coordinates"]
     hessian: Float[np.ndarray, "coordinates coordinates"]
-    states: Any = None
+    begun: Any = None
 
     @property
     def finite(self) -> bool:
         """Whether loss, gradient and Hessian are finite."""
         return all(np.isfinite(part).all() for part in self[:3])
+
+
+Evaluate = Callable[[Float[np.ndarray, "coordinates"]], NormalEquations]
+"""Function of a vector that gives the normal equations there."""
+
+Scores = Callable[
+    [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
+]
+"""Function of a vector that gives the normal equations there, and the gradient of each stretch of time."""
 
 
 def compress(

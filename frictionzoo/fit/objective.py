@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Callable, Hashable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import jax
@@ -14,27 +13,14 @@ from jaxtyping import Array, Bool, Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
-from frictionzoo.fit.blocks import (
-    Blocks,
-    divide,
-    each,
-    each_part,
-    into_blocks,
-    measured_states,
-    side_by_side,
-    to_numpy,
-    without_motion,
-)
-from frictionzoo.fit.impulse import is_moving, rigid_inertia_of
-from frictionzoo.fit.loss import Loss, bend, count_terms, mean_squares
-from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.recordings import Recordings
-from frictionzoo.fit.shooting import Begun, Equations, Local, Mixed, Search, Shooting, follow, join_equations
+from frictionzoo.fit.blocks import Blocks, divide, each, each_part, into_blocks, measured_states
+from frictionzoo.fit.equations import Residuals, compile_equations
+from frictionzoo.fit.loss import Loss, count_terms, is_moving, mean_squares, rigid_inertia_of
+from frictionzoo.fit.motion import Recordings
+from frictionzoo.fit.normal_equations import Evaluate, NormalEquations, Scores
+from frictionzoo.fit.shooting import Begun
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
-from frictionzoo.fit.tangents import Seen, Tangents
-from frictionzoo.simulation import Values
-from frictionzoo.simulation.base import FORWARD
 from frictionzoo.simulation.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulation.rollout import Rollout
 from frictionzoo.simulation.torch_rollout import TorchRollout
@@ -115,7 +101,6 @@ class Objective:
         inertia = rigid_inertia_of(space.bench, segments) if impulse else None
         self.data: Blocks = into_blocks(segments, stretch, space.start.dtype, rollout, counts, inertia)
         self.devices: int = len(self.data.weight.sharding.device_set)
-        self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
         self.recordings: Recordings | None = None
         self._programs: dict[Any, Any] = {}  # compiled equations, which the evaluation uses again
@@ -141,33 +126,29 @@ class Objective:
         return other
 
     @property
-    def states(self) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
-        """Initial states at which their search begins; None where they are not estimated."""
-        return np.asarray(self.data.begun, np.float64) if self._loss.refine else None
-
-    @property
     def begun(self) -> Begun | None:
         """Start of the search for initial states with their derivatives; None where they are not estimated."""
         if not self._loss.refine:
             return None
+        if self._begun is not None:
+            return self._begun
         objective, vector = self._whole(self.space.start)
-        sparsity = objective._sparsity
+        sparsity, states = objective._sparsity, np.asarray(self.data.begun, np.float64)
         slopes = np.zeros((len(sparsity.joints), self.data.weight.size, len(sparsity.states), len(sparsity.seeds)))
-        return Begun(self.states, vector, slopes, np.asarray(np.inf)) if self._begun is None else self._begun
+        return Begun(states, vector, slopes, np.asarray(np.inf))
 
     @property
     def timestep(self) -> float:
         """Time step of the simulation whose normal equations are compiled [s]."""
         return self._whole(self.space.start)[0].space.bench.timestep
 
-    def beginning(self, states: Begun | Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
+    def beginning(self, begun: Begun | Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
         """Return this objective with another start for the search for initial states; None changes nothing."""
-        if states is None:
+        if begun is None:
             return self
-        other, begun = copy.copy(self), self.data.begun
-        other._begun = states if isinstance(states, Begun) else None
-        states = states.states if isinstance(states, Begun) else states
-        other.data = self.data._replace(begun=jax.device_put(np.asarray(states, begun.dtype), begun.sharding))
+        other, like = copy.copy(self), self.data.begun
+        other._begun, states = (begun, begun.states) if isinstance(begun, Begun) else (None, begun)
+        other.data = self.data._replace(begun=jax.device_put(np.asarray(states, like.dtype), like.sharding))
         return other
 
     def among(self, kept: Bool[np.ndarray, "segments"] | None) -> "Objective":
@@ -278,14 +259,16 @@ class Objective:
 
     def collect(self, tree: Any) -> Any:
         """Copy arrays back to the first device, where torch can read them."""
-        return tree if self.devices == 1 else jax.device_put(tree, self._first)
+        devices = self.data.weight.sharding.device_set
+        return tree if self.devices == 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
 
     def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
         """Return the objective at a vector."""
+        residuals = self._residuals
+        states = residuals.states(vector, data)
         if self.torch_law:
-            parts = each_part(data, self._states(vector, data))
-            return jnp.sum(jnp.stack([self._block_loss(vector, *part) for part in parts]))
-        return jnp.sum(jax.lax.map(lambda part: self._block_loss(vector, *part), (data, *self._states(vector, data))))
+            return jnp.sum(jnp.stack([residuals.block_loss(vector, *part) for part in each_part(data, states)]))
+        return jnp.sum(jax.lax.map(lambda part: residuals.block_loss(vector, *part), (data, *states)))
 
     def value_and_grad(self, derivative: str) -> Callable[[Array, Blocks], tuple[Array, Array]]:
         """Return a function of a vector and the data that gives the objective and its gradient, not compiled.
@@ -304,17 +287,17 @@ class Objective:
             )
         engine = self._rollout.engine
         few = len(self.space.start) <= engine.forward_limit or not engine.reverse
-        reverse = derivative == "reverse" or (derivative == "auto" and not few)
+        reverse, residuals = derivative == "reverse" or (derivative == "auto" and not few), self._residuals
 
         def of_block(vector: Array, part: tuple[Blocks, Array, Array]) -> tuple[Array, Array]:
             if reverse:
-                return jax.value_and_grad(self._block_loss)(vector, *part)
-            slope = jax.vmap(lambda tangent: jax.jvp(lambda x: self._block_loss(x, *part), (vector,), (tangent,)))
+                return jax.value_and_grad(residuals.block_loss)(vector, *part)
+            slope = jax.vmap(lambda tangent: jax.jvp(lambda x: residuals.block_loss(x, *part), (vector,), (tangent,)))
             losses, gradient = slope(jnp.eye(len(vector), dtype=vector.dtype))
             return losses[0], gradient
 
         def of_all(vector: Array, data: Blocks) -> tuple[Array, Array]:
-            parts = (data, *self._states(vector, data))
+            parts = (data, *residuals.states(vector, data))
             losses, gradients = jax.lax.map(lambda part: of_block(vector, part), parts)
             return jnp.sum(losses), jnp.sum(gradients, axis=0)
 
@@ -350,7 +333,12 @@ class Objective:
 
         return of_all
 
-    def compile_normal_equations(self) -> Callable[[Float[np.ndarray, "coordinates"]], NormalEquations]:
+    def _loss_of_prediction(self, predicted: tuple[Array, Array], block: Blocks) -> Float[Array, ""]:
+        """Return a block's part of the objective where initial states are not estimated."""
+        errors = self._loss.errors((block.qpos[:, 0], block.qvel[:, 0]), predicted, None, block)
+        return self._loss.sum(jnp.square(errors)) / self._terms
+
+    def compile_normal_equations(self) -> Evaluate:
         """Return a compiled function of a vector that gives the normal equations with exact Jacobians.
 
         Blocks are summed one by one in float64, so no Jacobian of all residuals is in memory. Estimated initial states
@@ -359,11 +347,7 @@ class Objective:
         evaluate = self._compile_equations(exact=False)
         return lambda vector: evaluate(vector)[0]
 
-    def compile_scores(
-        self,
-    ) -> Callable[
-        [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
-    ]:
+    def compile_scores(self) -> Scores:
         """Return the function of `compile_normal_equations`, extended by the gradient of each stretch of segments.
 
         A robust loss enters the Hessian with its exact second derivative, which can be negative. A fit uses its slope
@@ -371,9 +355,13 @@ class Objective:
         """
         return self._compile_equations(exact=self._loss.robust != "none")
 
-    def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
+    def _compile_equations(self, exact: bool) -> Scores:
         places = slice(None) if self._wider is None else self._wider[1]
-        compiled = self._whole(self.space.start)[0]._compiled(exact)
+        objective = self._whole(self.space.start)[0]
+        start = objective.spread(objective.space.start)
+        compiled = objective.remember(
+            exact, lambda: compile_equations(objective._residuals, objective.data, start, exact)
+        )
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
             coordinates = self.spread(jnp.asarray(self._whole(vector)[1], self.space.start.dtype))
@@ -395,167 +383,6 @@ class Objective:
         qpos, qvel = (measured.at[:, :, 1:].add(shift) for measured, shift in states)
         return data._replace(qpos=qpos, qvel=qvel)
 
-    def _compiled(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
-        """Return the function for loss, gradient by stretch, Hessian, and next start of initial states or None."""
-        return self.remember(exact, lambda: self._compile(exact))
-
-    def _compile(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
-        """Compile that function. Each trial of initial states is a pass over all blocks with all derivatives."""
-        shooting, finish = self._shooting, jax.jit(self._finish)
-        measured = measured_states(self.data.qpos, self.data.qvel)
-        example = tuple(jax.device_put(part, self.data.begun.sharding) for part in (measured, follow(measured)))
-        solve_block = self._compile_both(
-            lambda vector, part: self._look(vector, *part),
-            lambda seen, part: self._block_equations(seen, exact),
-            next(each_part(self.data, example)),
-        )
-
-        def equations(vector: Array, data: Blocks, states: Array) -> Equations:
-            sharding = data.begun.sharding  # the one that the programs were compiled for
-            blocks = each_part(data, tuple(jax.device_put(part, sharding) for part in (states, follow(states))))
-            parts = side_by_side(lambda part: jax.tree.map(np.asarray, solve_block(vector, part)), blocks, self.devices)
-            return join_equations(parts)
-
-        @jax.jit
-        def begin(vector: Array, begun: Begun, data: Blocks) -> tuple[Array, Array]:
-            trial = shooting.predict(begun, vector)
-            return trial, shooting.states_together(trial, data)
-
-        @jax.jit
-        def advance(search: Search, tried: Local, data: Blocks) -> tuple[Search, Array, Array]:
-            search = shooting.advance(search, tried, data)
-            trial, best = (shooting.states_together(state, data) for state in search[:2])
-            return search, trial, best
-
-        def evaluate(vector: Array, data: Blocks, begun: Begun | None) -> tuple[Any, ...]:
-            host = without_motion(data)
-            if not self._loss.refine:
-                return *to_numpy(finish(equations(vector, data, measured_states(data.qpos, data.qvel)), host)[:3]), None
-            trial, states = shooting.by_branch(data.begun), data.begun
-            if begun is not None:
-                trial, states = begin(vector, begun, host)
-            search = None
-            while search is None or not search.ended:
-                tried, system = states, equations(vector, data, states)
-                assert system.local is not None
-                if search is None:
-                    unknown = jax.tree.map(lambda part: np.full_like(part, np.inf), system.local)
-                    search = Search.begin(trial, unknown, np.nan if begun is None else begun.square)
-                search, states, best = advance(search, system.local, host)
-            if begun is not None and search.settled:
-                system = system._replace(loss=system.loss - search.gain)
-            elif np.isfinite(system.loss):
-                system = system if np.array_equal(tried, best) else equations(vector, data, best)
-                states = best
-            *sums, slopes = finish(system, host)
-            return *to_numpy(sums), Begun(*map(np.asarray, (states, vector, slopes, system.loss)))
-
-        return evaluate
-
-    def _compile_both(
-        self, look: Callable[[Array, Any], Any], then: Callable[[Any, Any], Any], example: Any
-    ) -> Callable[[Array, Any], Any]:
-        """Compile a rollout and the equations from it into one function of a vector and a block.
-
-        On one device they compile in parallel. With several, the equations need the sharding of the rollout's results.
-        """
-        start = self.spread(self.space.start)
-        if self.devices == 1:  # the shape only, so that the compilation cache finds the program
-            start = jax.ShapeDtypeStruct(start.shape, start.dtype)
-        lowered = self.compile(look, forward=True).lower(start, example)
-        with ThreadPoolExecutor(1) as pool:
-            compiling = pool.submit(lowered.compile)
-            linearised = lowered.out_info if self.devices == 1 else compiling.result()(start, example)
-            equations = jax.jit(then, compiler_options=FORWARD).lower(linearised, example).compile()
-            rollout = compiling.result()
-        return lambda vector, part: equations(rollout(vector, part), part)
-
-    def _states(self, vector: Array, data: Blocks) -> tuple[Array, Array]:
-        """Return initial states of all segments and of their successors, (blocks, segments, twice_nv).
-
-        No derivative goes through their estimation: at its minimum the objective does not change with the initial
-        states.
-        """
-        if self._loss.refine:
-            values, data = jax.lax.stop_gradient((self.space.values(vector), data))
-            states = jax.lax.stop_gradient(self._shooting.find_states(values, data))
-        else:
-            states = measured_states(data.qpos, data.qvel)
-        return states, follow(states)
-
     @property
-    def _tangents(self) -> Tangents:
-        return Tangents(self._sparsity, self._loss.refine, self._rollout.keeps_slopes)
-
-    @property
-    def _shooting(self) -> Shooting:
-        return Shooting(self._residuals, self._bent, self._sparsity, self._loss.gap)
-
-    def _block_loss(self, vector: Array, block: Blocks, own: Array, following: Array) -> Float[Array, ""]:
-        residuals = self._residuals(self.space.values(vector), own, following, block)
-        return self._loss.sum(jnp.square(residuals)) / self._terms
-
-    def _loss_of_prediction(self, predicted: tuple[Array, Array], block: Blocks) -> Float[Array, ""]:
-        """Return a block's part of the objective where initial states are not estimated."""
-        errors = self._loss.errors((block.qpos[:, 0], block.qvel[:, 0]), predicted, None, block)
-        return self._loss.sum(jnp.square(errors)) / self._terms
-
-    def _residuals(
-        self, values: Values, own: Array, following: Array, block: Blocks
-    ) -> Float[Array, "segments time nv kinds"]:
-        qpos, qvel = jnp.split(own, 2, axis=1)
-        predicted = self._rollout(values, qpos, qvel, block.signals, block.load)
-        errors = self._loss.errors((qpos, qvel), predicted, values["bench"]["armature"], block)
-        if self._loss.gap is None:
-            return errors
-        ends = jnp.stack([state[:, -1] for state in predicted], axis=-1)
-        gaps = ends - jnp.stack(jnp.split(following, 2, axis=1), axis=-1)
-        gaps = self._loss.gap * gaps * block.linked[:, None, None]
-        return jnp.concatenate([errors, gaps[:, None]], axis=1)
-
-    def _look(self, vector: Array, block: Blocks, own: Array, following: Array) -> Seen:
-        """Return a block's residuals and their linearisation."""
-
-        def residuals(vector: Array, own: Array) -> Array:
-            return self._sparsity.by_branch(self._residuals(self.space.values(vector), own, following, block))
-
-        return self._tangents.look(residuals, vector, own)
-
-    def _block_equations(self, seen: Seen, exact: bool) -> Equations:
-        """Return loss, gradient by segment and Hessian over the tangents, before initial states are eliminated."""
-        errors, (slopes, by_state) = seen.residuals, self._tangents.slopes(seen)
-        share, curvature = self._loss.shares(jnp.square(errors), exact)
-        bent = self._bent(errors)
-        curvature = curvature + (bent - 1) * share
-        # By default a GPU rounds factors to 10 bits, too few to detect collinear coordinates.
-        gradient = jnp.einsum("ibsk,bsk->bsi", slopes, share * errors, precision="highest")
-        hessian = jnp.einsum("ibsk,jbsk->bij", slopes, curvature * slopes, precision="highest")
-        loss = self._loss.sum(jnp.square(errors))
-        if not self._loss.refine:
-            return Equations(loss, gradient, hessian)
-        local = self._shooting.local(errors, by_state)
-        mixed = jnp.einsum("ibsk,jbsk->bsij", bent * by_state, slopes, precision="highest")
-        return Equations(loss, gradient, hessian, local, Mixed(mixed, jnp.moveaxis(self._shooting.gap(slopes), 0, 3)))
-
-    def _bent(self, errors: Float[Array, "branches segments terms"]) -> Float[Array, "branches #segments terms"]:
-        """Return `bend` of residuals by branch; defects, which come last, have no width."""
-        if not self._loss.encoder_step:
-            return jnp.ones_like(errors)
-        widths = self._loss.widths(self.data.qpos.shape[3])
-        times = errors.shape[2] // (self._sparsity.joints.shape[1] * widths.shape[1])
-        rows = np.repeat(widths[None, None], times, axis=1)
-        if self._loss.gap is not None:
-            rows[:, -1] = 0.0
-        return bend(errors, self._sparsity.by_branch(jnp.asarray(rows, errors.dtype)))
-
-    def _finish(self, found: Equations, data: Blocks) -> tuple[Array, ...]:
-        """Eliminate initial states; return loss, gradient by stretch, Hessian, and slopes of the best states if any."""
-        loss, gradient, hessian, local, mixed = found
-        slopes = jnp.zeros(0)
-        if local is not None and mixed is not None:
-            gradient_shift, hessian_shift, slopes = self._shooting.eliminate(local, mixed, data)
-            gradient, hessian = gradient - gradient_shift, hessian - hessian_shift
-        members = jax.nn.one_hot(data.stretch.ravel(), self.stretches, dtype=gradient.dtype)
-        gradient, hessian = self._sparsity.gradient(gradient), self._sparsity.hessian(hessian)
-        scores = jnp.einsum("sg,si->gi", members, gradient, precision="highest")
-        return loss / self._terms, scores / self._terms, hessian / self._terms, slopes
+    def _residuals(self) -> Residuals:
+        return Residuals(self.space, self._rollout, self._loss, self._sparsity, self._terms, self.stretches)

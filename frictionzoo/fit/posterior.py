@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.uncertainty import Covariance
 
 _log = logging.getLogger(__name__)
 
@@ -99,44 +99,26 @@ def draw_posterior(fitted: Fitted, covariance: Covariance, count: int, seed: int
     "Robust statistical modeling using the t distribution", 1989, for the t; M. Hoffman, A. Gelman, "The No-U-Turn
     sampler", 2014; A. Vehtari et al., "Rank-normalization, folding, and localization: an improved R-hat", 2021.
     """
-    target = _Target.of(fitted, covariance)
+    target = _Target(fitted, covariance)
+    from blackjax.diagnostics import ess_bulk, rhat  # optional dependency
+
     draws = max(FEWEST, -(-count // CHAINS))
     samples, diverged = _sample(fitted.objective, target, draws, seed)
-    rhat, effective = (dict(zip(covariance.labels, values, strict=True)) for values in _diagnose(samples))
-    chains = Chains(_pick(fitted.vector, target.own, samples, count), rhat, effective, int(diverged.sum()))
+    diagnose = jax.jit(lambda draws: (rhat(draws), ess_bulk(draws)))  # without compilation it takes seconds
+    measures = (np.atleast_1d(values).tolist() for values in diagnose(samples))
+    rhats, effective = (dict(zip(covariance.labels, values, strict=True)) for values in measures)
+    vectors, rows = np.repeat(np.asarray(fitted.vector, np.float64)[None], count, axis=0), np.concatenate(samples)
+    vectors[:, target.own] = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]  # evenly from all chains
+    chains = Chains(vectors, rhats, effective, int(diverged.sum()))
     _refuse_disagreement(chains, samples.shape[0] * draws)
     return chains
 
 
-@dataclass(frozen=True, eq=False)
 class _Target:
-    """Posterior of the coordinates `own`, as a function of unbounded numbers with about unit spread.
+    """Posterior of the coordinates `own`, as a function of unbounded numbers with about unit spread."""
 
-    Attributes:
-        own: Indices of the sampled coordinates in the objective's vector.
-        least: The objective there.
-        centre: Middle of each coordinate's interval.
-        magnitude: c of `draw_posterior`.
-        curvature: C of `draw_posterior`.
-        origin: Logit of the centre between `low` and `high`.
-        spread: Map from unit spread to logits: a factor of their covariance.
-    """
-
-    own: Int[np.ndarray, "own"]
-    best: Float[np.ndarray, "coordinates"]
-    least: float
-    centre: Float[np.ndarray, "own"]
-    low: Float[np.ndarray, "own"]
-    high: Float[np.ndarray, "own"]
-    freedom: float
-    magnitude: float
-    curvature: Float[np.ndarray, "own own"]
-    origin: Float[np.ndarray, "own"]
-    spread: Float[np.ndarray, "own own"]
-
-    @classmethod
-    def of(cls, fitted: Fitted, covariance: Covariance) -> "_Target":
-        """Return the target of a fit; see `draw_posterior` for the errors raised."""
+    def __init__(self, fitted: Fitted, covariance: Covariance) -> None:
+        """Prepare the target of a fit; see `draw_posterior` for the errors raised."""
         space, best = fitted.objective.space, np.asarray(fitted.vector, np.float64)
         _refuse(fitted, covariance)
         own = np.array([space.labels.index(label) for label in covariance.labels])
@@ -155,8 +137,11 @@ class _Target:
         share = np.clip((covariance.centre - low) / (high - low), 0.01, 0.99)
         logit_deviation = np.minimum(deviation / (high - low) / (share * (1 - share)), _FLAT)
         spread = np.linalg.cholesky(covariance.matrix / np.outer(deviation, deviation)) * logit_deviation[:, None]
-        middle, scaling = covariance.centre, (magnitude, curvature, np.log(share / (1 - share)), spread)
-        return cls(own, best, equations.loss, middle, low, high, covariance.freedom, *scaling)
+        self.own, self.best, self.least = own, best, equations.loss
+        self.centre, self.low, self.high, self.freedom = covariance.centre, low, high, covariance.freedom
+        self.magnitude, self.curvature = magnitude, curvature  # c and C of `draw_posterior`
+        self.origin = np.log(share / (1 - share))  # logit of the centre between the bounds
+        self.spread = spread  # from unit spread to logits: a factor of their covariance
 
     def place(self, free: Float[Array, "own"]) -> Float[Array, "own"]:
         """Return the coordinates of a point."""
@@ -257,27 +242,6 @@ def _sample(
     parts = [run(*objective.spread((key, jnp.asarray(point, dtype))), objective.data) for key, point in arguments]
     samples, diverged = (np.stack([np.asarray(part) for part in group]) for group in zip(*parts, strict=True))
     return samples.astype(np.float64), diverged
-
-
-def _diagnose(found: Float[np.ndarray, "chains draws own"]) -> tuple[list[float], list[float]]:
-    """Return R-hat and effective sample size of each coordinate."""
-    from blackjax.diagnostics import ess_bulk, rhat
-
-    diagnostics = jax.jit(lambda draws: (rhat(draws), ess_bulk(draws)))(found)  # without compilation it takes seconds
-    return np.atleast_1d(diagnostics[0]).tolist(), np.atleast_1d(diagnostics[1]).tolist()
-
-
-def _pick(
-    best: Float[np.ndarray, "coordinates"],
-    own: Int[np.ndarray, "own"],
-    found: Float[np.ndarray, "chains draws own"],
-    count: int,
-) -> Float[np.ndarray, "count coordinates"]:
-    """Return `count` of the draws, evenly from all chains."""
-    vectors = np.repeat(np.asarray(best, np.float64)[None], count, axis=0)
-    draws = found.reshape(-1, len(own))
-    vectors[:, own] = draws[np.linspace(0, len(draws) - 1, count).round().astype(int)]
-    return vectors
 
 
 def _refuse_disagreement(chains: Chains, draws: int) -> None:

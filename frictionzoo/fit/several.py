@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from frictionzoo.core.errors import ConfigError, refuse_outside
-from frictionzoo.fit.base import Fit, Seen, register_method
+from frictionzoo.core.errors import refuse_outside
+from frictionzoo.fit.base import Evaluation, Fit, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.contained import Part
-from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend, is_near
+from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend, is_near, refuse_tolerance
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective
-from frictionzoo.fit.torque_balance import Box
+from frictionzoo.fit.space import Box
 from frictionzoo.models import FrictionModel
 
 _log = logging.getLogger(__name__)
@@ -71,8 +71,7 @@ class Several(Fit):
 
     def __init__(self, tries: int = 40, tolerance: float = 1e-8, contained: bool = True) -> None:
         refuse_outside("fit.tries", tries, 1, MOST_TRIES)
-        if not 0 < tolerance < 1:
-            raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
+        refuse_tolerance(tolerance)
         self._tries, self._tolerance, self._contained = tries, tolerance, contained
 
     def total(self, objective: Objective) -> int:
@@ -85,12 +84,12 @@ class Several(Fit):
         self.total(objective)
         searches = Searches(objective, self._tries, self._tolerance)
         best = searches.best(searches.look() if self._contained else searches.go_on(np.asarray(objective.space.start)))
-        return best.vector, searches.states
+        return best.vector, searches.begun
 
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
         """See `Fit.step`; evaluates the best vector."""
         equations = objective.beginning(state).compile_normal_equations()(np.asarray(vector, np.float64))
-        return Seen(equations.loss, 2 * equations.gradient, not np.isfinite(equations.loss)), vector, state
+        return Evaluation(equations.loss, 2 * equations.gradient, not np.isfinite(equations.loss)), vector, state
 
     def done(self, state: Any) -> Any:
         """See `Fit.done`."""
@@ -102,24 +101,26 @@ class Several(Fit):
 
 
 class Searches:
-    """All searches of an objective; each nested model is fitted once. `kept` marks moving coordinates; None for all."""
+    """All searches of an objective; each nested model is fitted once.
+
+    Attributes:
+        begun: Start of the search for initial states at the best vector so far.
+
+    Args:
+        kept: Which coordinates move; None for all.
+    """
 
     def __init__(
         self, objective: Objective, tries: int, tolerance: float, kept: Bool[np.ndarray, "coordinates"] | None = None
     ) -> None:
         self._objective, self._space = objective.beginning(objective.begun), objective.space
         self._tries, self._tolerance = tries, tolerance
-        self._least, self._states = np.inf, objective.begun
+        self._least, self.begun = np.inf, objective.begun
         self._found: dict[str, End] = {}
         self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
         # A model with several minima is fitted from several starting points: a slow search has rivals.
         recordings = objective.recordings
         self._patience = _PATIENCE if recordings is not None and recordings.model.valleys else None
-
-    @property
-    def states(self) -> Any:
-        """Start of the search for initial states at the best vector so far."""
-        return self._states
 
     def go_on(self, vector: Float[np.ndarray, "coordinates"]) -> End:
         """Search from this vector; coordinates that do not move keep its values."""
@@ -141,17 +142,16 @@ class Searches:
 
     def _moving(self, vector: Float[np.ndarray, "coordinates"]) -> Part:
         """Return a `Part` of the moving coordinates alone, without reference to a model."""
-        return Part(
-            FrictionModel, self._space, np.where(self._kept, 0.0, vector), np.eye(len(vector))[:, self._kept], {}, {}
-        )
+        fixed, spread = np.where(self._kept, 0.0, vector), np.eye(len(vector))[:, self._kept]
+        return Part(FrictionModel, self._space, fixed, spread)
 
     def _evaluate(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
         """Evaluate the objective; the search for initial states begins at those of the last vector that was as good."""
         equations = self._objective.compile_normal_equations()(vector)
         if is_near(equations.loss, self._least):
-            self._objective = self._objective.beginning(equations.states)
+            self._objective = self._objective.beginning(equations.begun)
         if equations.loss < self._least:
-            self._least, self._states = equations.loss, equations.states
+            self._least, self.begun = equations.loss, equations.begun
         return equations
 
     def _look(self, part: Part) -> End:

@@ -68,7 +68,7 @@ class Begun(NamedTuple):
     square: Any
 
 
-class Search(NamedTuple):
+class StateSearch(NamedTuple):
     """Progress of a search for initial states, by branch and segment.
 
     Attributes:
@@ -92,7 +92,9 @@ class Search(NamedTuple):
     ended: Any
 
     @classmethod
-    def begin(cls, begun: Float[Array, "branches segments state"], unknown: Local, other: Any = jnp.nan) -> "Search":
+    def begin(
+        cls, begun: Float[Array, "branches segments state"], unknown: Local, other: Any = jnp.nan
+    ) -> "StateSearch":
         """Return a search that begins at these states; `unknown` is a `Local` filled with infinity."""
         damping, no = jnp.full(begun.shape[:2], _DAMPING, begun.dtype), jnp.asarray(False)
         other, gain = (jnp.asarray(value, begun.dtype) for value in (other, 0.0))
@@ -141,7 +143,7 @@ class Shooting(NamedTuple):
     def find_states(self, values: Values, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
         """Return the initial states that fit the segments best; for use in a compiled program."""
 
-        def improve(search: Search) -> Search:
+        def improve(search: StateSearch) -> StateSearch:
             return self.advance(search, self._look(values, search.trial, data), data)
 
         begun = self.by_branch(data.begun)
@@ -149,7 +151,7 @@ class Shooting(NamedTuple):
             lambda shape: jnp.full(shape.shape, jnp.inf, shape.dtype),
             jax.eval_shape(lambda: self._look(values, begun, data)),
         )
-        final = jax.lax.while_loop(lambda search: ~search.ended, improve, Search.begin(begun, unknown))
+        final = jax.lax.while_loop(lambda search: ~search.ended, improve, StateSearch.begin(begun, unknown))
         return self.states_together(final.state, data)
 
     def by_branch(self, states: Any) -> Float[Array, "branches segments state"]:
@@ -165,9 +167,11 @@ class Shooting(NamedTuple):
         """Return states by branch in the order of `Blocks.begun`."""
         return self.sparsity.states_together(state).reshape(data.begun.shape)
 
-    def advance(self, search: "Search", tried: Local, data: Blocks) -> "Search":
+    def advance(self, search: StateSearch, tried: Local, data: Blocks) -> StateSearch:
         """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial if its sum decreases."""
-        chain = self._chain(data)
+        # The number of each segment's chain of linked segments.
+        numbers = jnp.arange(data.weight.size)
+        chain = numbers if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
         better = _sum_by(chain, tried.square) < _sum_by(chain, search.local.square)
 
         def choose(new: Array, old: Array) -> Array:
@@ -185,7 +189,7 @@ class Shooting(NamedTuple):
         threshold = jnp.where(jnp.isfinite(other), later_threshold, jnp.where(jnp.isnan(other), _ALONE, _FIRST) * total)
         settled = gain <= threshold
         ended = settled | (looks >= _MOST_LOOKS) | ((looks == 1) & ~jnp.all(jnp.isfinite(tried.square)))
-        return Search(state - step, state, local, damping, looks, other, gain, settled, ended)
+        return StateSearch(state - step, state, local, damping, looks, other, gain, settled, ended)
 
     def local(self, errors: Float[Array, "branches segments terms"], slopes: Array) -> Local:
         """Return the sum of squares of residuals with derivatives `slopes`, (state, branches, segments, terms)."""
@@ -241,7 +245,10 @@ class Shooting(NamedTuple):
             slope = jax.vmap(lambda unit: jax.jvp(errors, (own,), (unit,)), out_axes=(None, 0))
             return self.local(*slope(units))
 
-        return jax.tree.map(join_blocks, jax.lax.map(of_block, (data, states, follow(states))))
+        def join(parts: Float[Array, "blocks branches segments *shape"]) -> Float[Array, "branches all *shape"]:
+            return jnp.moveaxis(parts, 0, 1).reshape(parts.shape[1], -1, *parts.shape[3:])
+
+        return jax.tree.map(join, jax.lax.map(of_block, (data, states, follow(states))))
 
     def _join(self, local: Local, data: Blocks) -> tuple[Array, Array, Array]:
         """Return the states' equations: diagonal blocks, the blocks right of them, and half the gradient."""
@@ -260,32 +267,23 @@ class Shooting(NamedTuple):
 
     def _by_state(self, dtype: Any) -> Float[Array, "branches 1 state"]:
         assert self.root is not None
-        nv = self.sparsity.states.shape[1] // 2
-        return self.sparsity.states_by_branch(jnp.asarray(np.broadcast_to(self.root, (nv, 2)).T.reshape(1, -1), dtype))
+        root = np.broadcast_to(self.root, (self.sparsity.nv, 2))
+        return self.sparsity.states_by_branch(jnp.asarray(root.T.reshape(1, -1), dtype))
 
     def _before(self, data: Blocks) -> Float[Array, "segments"]:
         """Return 1 for each segment that begins where the one before it ends, else 0."""
         return jnp.roll(data.linked.ravel(), 1)
 
-    def _chain(self, data: Blocks) -> Array:
-        """Return for each segment the number of its chain of linked segments."""
-        numbers = jnp.arange(data.weight.size)
-        return numbers if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
-
     def _unused(self, weight: Float[Array, "segments"]) -> Float[Array, "branches segments state state"]:
         """Return the diagonal that makes the equations of unused states and segments solvable."""
         identity = jnp.eye(len(self.sparsity.states)) * (1 - weight[:, None, None])
-        return self.sparsity.unit_states(weight.dtype)[:, None] + identity
+        filled = jax.vmap(jnp.diag)(jnp.asarray(1 - np.tile(self.sparsity.mine, 2), weight.dtype))
+        return filled[:, None] + identity
 
 
 def follow(states: Float[Array, "blocks segments state"]) -> Float[Array, "blocks segments state"]:
     """Return the initial state of each next segment; the last gets the first one's, which has no weight."""
     return jnp.roll(states.reshape(-1, states.shape[2]), -1, axis=0).reshape(states.shape)
-
-
-def join_blocks(parts: Float[Array, "blocks branches segments *shape"]) -> Float[Array, "branches all *shape"]:
-    """Concatenate the segments of all blocks."""
-    return jnp.moveaxis(parts, 0, 1).reshape(parts.shape[1], -1, *parts.shape[3:])
 
 
 def join_equations(parts: Sequence[Equations]) -> Equations:

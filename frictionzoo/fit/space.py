@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import UNITS, Param
+from frictionzoo.core.params import Param
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulation import Values
 from frictionzoo.simulation.bridge import to_jax
@@ -37,6 +37,14 @@ class Place(NamedTuple):
     def among_members(self, joints: Int[np.ndarray, "_"]) -> Int[np.ndarray, "_"]:
         """Return the positions of these joints in an array with one value per member."""
         return np.searchsorted(self.members, joints)
+
+
+class Box(NamedTuple):
+    """Initial coordinates and their bounds."""
+
+    start: Float[np.ndarray, "coordinates"]
+    low: Float[np.ndarray, "coordinates"]
+    high: Float[np.ndarray, "coordinates"]
 
 
 class Space:
@@ -90,6 +98,11 @@ class Space:
         self.start: Array = jnp.asarray(start, dtype)  # without coordinates, ravel_pytree returns float32
         self.low: Array = ravel_pytree(self._bounds(coordinates, "low"))[0]
         self.high: Array = ravel_pytree(self._bounds(coordinates, "high"))[0]
+
+    @property
+    def box(self) -> Box:
+        """Initial coordinates and bounds in float64."""
+        return Box(*(np.asarray(side, np.float64) for side in (self.start, self.low, self.high)))
 
     def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Space":
         """Return this space with other initial coordinates, clipped to the bounds."""
@@ -154,7 +167,7 @@ class Space:
         for name, param in self.params.items():
             joints = self.places[name].joints
             low, high = (param.each(side, self._nv)[joints] for side in ("low", "high"))
-            unit = UNITS[self.bench.joint_type][param.dimension]
+            unit = param.unit(self.bench.joint_type)
             limits[name] = f"{'' if unit == '1' else f'{unit}, '}{low.min():g} to {high.max():g}"
         return limits
 

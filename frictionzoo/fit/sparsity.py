@@ -6,9 +6,8 @@ Source: A. Curtis, M. Powell, J. Reid, "On the Estimation of Sparse Jacobian Mat
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -53,6 +52,11 @@ class Sparsity(NamedTuple):
             halves[np.arange(size)[used > 0], row[used > 0]] = 1.0
         return cls(joints, mine, seeds, place, np.kron(np.eye(2), halves))
 
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return self.states.shape[1] // 2
+
     def by_branch(self, errors: Float[Array, "segments time nv kinds"]) -> Float[Array, "branches segments terms"]:
         """Return the errors of each branch's joints; 0 where a row is only filled."""
         if len(self.joints) == 1:
@@ -68,9 +72,8 @@ class Sparsity(NamedTuple):
 
     def states_together(self, own: Float[Array, "branches segments state"]) -> Float[Array, "segments twice_nv"]:
         """Return states by branch in the order of the joints."""
-        nv = self.states.shape[1] // 2
         halves = [jnp.swapaxes(half, 0, 1) * jnp.asarray(self.mine, own.dtype) for half in jnp.split(own, 2, axis=2)]
-        empty = jnp.zeros((own.shape[1], nv), own.dtype)
+        empty = jnp.zeros((own.shape[1], self.nv), own.dtype)
         return jnp.concatenate([empty.at[:, self.joints].add(half) for half in halves], axis=1)
 
     def gradient(self, own: Float[Array, "branches segments tangents"]) -> Float[Array, "segments coordinates"]:
@@ -84,10 +87,6 @@ class Sparsity(NamedTuple):
         count = self.seeds.shape[1]
         total = jnp.zeros((count + 1, count + 1), own.dtype)
         return total.at[self.place[:, :, None], self.place[:, None, :]].add(own)[:count, :count]
-
-    def unit_states(self, dtype: Any) -> Float[Array, "branches state state"]:
-        """Return matrices with 1 on the diagonal where an entry of a branch's state only fills its row."""
-        return jax.vmap(jnp.diag)(jnp.asarray(1 - np.tile(self.mine, 2), dtype))
 
 
 def _list_branches(space: Space, own: Int[np.ndarray, "nv"]) -> list[set[int]]:

@@ -1,19 +1,18 @@
 """Direction of gravity in the frame of a tilted base, identified together with the drives' parameters."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit.torque_balance import Balance, Box, Links
+from frictionzoo.fit.space import Box
+from frictionzoo.fit.torque_balance import Balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 STEEPEST = 0.2
 """Largest share of gravity along each of the two directions perpendicular to the model file's gravity."""
-AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -70,60 +69,40 @@ class Tilt:
         )
 
 
-@dataclass(frozen=True)
 class Tilted:
     """Torque equation with the leaning of a `Tilt` as two more coordinates, linearised at the bench's tilt.
 
-    Attributes:
+    Its attributes and methods are those of `TorqueEquation`.
+
+    Args:
         equation: The torque equation of a bench with the gravity of the tilt `at`.
         at: The tilt at which it is linearised.
-        columns: Torque that the links need per unit of leaning.
+        bench: The bench with the links' weights.
     """
 
-    equation: TorqueEquation
-    at: Tilt
-    columns: Float[np.ndarray, "rows nv 2"]
-
-    @classmethod
-    def about(cls, equation: TorqueEquation, at: Tilt, bench: Bench) -> "Tilted":
-        """Linearise an equation at a tilt, with the link weights of `bench`."""
+    def __init__(self, equation: TorqueEquation, at: Tilt, bench: Bench) -> None:
         strength, upright = np.linalg.norm(at.maker), np.sqrt(1 - at.leaning @ at.leaning)
         slopes = strength * at.across - np.outer(at.leaning, at.maker) / upright
-        return cls(equation, at, equation.weight(bench) @ slopes.T)
-
-    @property
-    def moving(self) -> Bool[np.ndarray, "rows nv"]:
-        """Which samples count, joint by joint."""
-        return self.equation.moving
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the coordinates."""
-        named = (AXES[int(np.argmax(np.abs(direction)))] for direction in self.at.across)
-        return (*self.equation.labels, *(f"gravity along {axis}" for axis in named))
-
-    @property
-    def box(self) -> Box:
-        """Initial coordinates and bounds."""
-        extra = self.at.leaning, np.full(2, -STEEPEST), np.full(2, STEEPEST)
-        return Box(*(np.append(side, added) for side, added in zip(self.equation.box, extra, strict=True)))
+        self._columns = equation.weight(bench) @ slopes.T  # torque that the links need per unit of leaning
+        self._equation, self._at = equation, at
+        self.moving, self.links = equation.moving, equation.links
+        axes = ("xyz"[int(np.argmax(np.abs(direction)))] for direction in at.across)
+        self.labels: tuple[str, ...] = (*equation.labels, *(f"gravity along {axis}" for axis in axes))
+        extra = at.leaning, np.full(2, -STEEPEST), np.full(2, STEEPEST)
+        self.box = Box(*(np.append(side, added) for side, added in zip(equation.box, extra, strict=True)))
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
         """See `TorqueEquation.lack`."""
-        return self.equation.lack(vector[:-2]) - self.columns @ (vector[-2:] - self.at.leaning)
+        return self._equation.lack(vector[:-2]) - self._columns @ (vector[-2:] - self._at.leaning)
 
     def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
         """See `TorqueEquation.slope`."""
-        return np.concatenate([self.equation.slope(vector[:-2]), -self.columns], axis=-1)
-
-    def links(self, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> Links:
-        """See `TorqueEquation.links`."""
-        return self.equation.links(bodies, spread)
+        return np.concatenate([self._equation.slope(vector[:-2]), -self._columns], axis=-1)
 
     def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
         """Return the physical value of each coordinate; gravity in m/s^2."""
-        return np.append(self.equation.physical(vector[:-2]), np.linalg.norm(self.at.maker) * vector[-2:])
+        return np.append(self._equation.physical(vector[:-2]), np.linalg.norm(self._at.maker) * vector[-2:])
 
     def tilt(self, found: Balance) -> Tilt:
         """Return the tilt that the least squares found."""
-        return Tilt(self.at.maker, self.at.across, found.vector[-2:], found.errors[-2:])
+        return Tilt(self._at.maker, self._at.across, found.vector[-2:], found.errors[-2:])

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -11,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.bench.inertia import LogCholesky, is_consistent
 from frictionzoo.fit.normal_equations import NormalEquations, bounded_step
+from frictionzoo.fit.space import Box
 
 Lack = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv"]]
 Slope = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv coordinates"]]
@@ -75,14 +75,6 @@ class Links:
         return np.linalg.solve(self.around.slopes(at).swapaxes(1, 2), (at / self.spread**2)[..., None])[..., 0]
 
 
-class Box(NamedTuple):
-    """Initial coordinates and their bounds."""
-
-    start: Float[np.ndarray, "coordinates"]
-    low: Float[np.ndarray, "coordinates"]
-    high: Float[np.ndarray, "coordinates"]
-
-
 @dataclass(frozen=True)
 class Balance:
     """Result of the weighted least squares.
@@ -103,14 +95,18 @@ class Balance:
     prior: Float[np.ndarray, "all all"]
 
     @property
-    def covariance(self) -> Float[np.ndarray, "all all"]:
-        """Covariance of `vector` and then the parameters; infinite variance for an undetermined number."""
-        return invert(self.information + self.prior)
-
-    @property
     def errors(self) -> Float[np.ndarray, "coordinates"]:
-        """Standard error of each entry of `vector`."""
-        return np.sqrt(np.diag(self.covariance))[: len(self.vector)]
+        """Standard error of each entry of `vector`; infinite where undetermined."""
+        return np.sqrt(np.diag(invert(self.information + self.prior)))[: len(self.vector)]
+
+
+def append_links(
+    slopes: Float[np.ndarray, "rows nv coordinates"], links: Links | None
+) -> Float[np.ndarray, "rows nv all"]:
+    """Return derivatives of the residual torque, extended by those with respect to the links' parameters."""
+    if links is None:
+        return slopes
+    return np.concatenate([slopes, -links.regressor.reshape(*slopes.shape[:2], -1)], axis=-1)
 
 
 def invert(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
@@ -199,9 +195,7 @@ class _Equation:
         return float(weighted @ weighted) + (0.0 if self.links is None else self.links.far(self.split(at)[1]))
 
     def measured(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> NormalEquations:
-        slopes = self.slope(self.split(at)[0])
-        if self.links is not None:
-            slopes = np.concatenate([slopes, -self.links.regressor.reshape(*slopes.shape[:2], -1)], axis=-1)
+        slopes = append_links(self.slope(self.split(at)[0]), self.links)
         rows, residual = (slopes / sigma[:, None])[self.moving], (self.left(at) / sigma)[self.moving]
         return NormalEquations(float(residual @ residual), rows.T @ residual, rows.T @ rows)
 

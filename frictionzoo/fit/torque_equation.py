@@ -15,12 +15,11 @@ from frictionzoo.bench.inertia import LogCholesky, inertial_parameters
 from frictionzoo.bench.regressor import inertial_regressor, inverse_torque
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit.blocks import MOST_STRETCHES
-from frictionzoo.fit.motion import Filtering, Motion
+from frictionzoo.fit.motion import Filtering, Motion, Recordings
 from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
-from frictionzoo.fit.torque_balance import Box, Links
+from frictionzoo.fit.torque_balance import Links
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.simulation import Values
 from frictionzoo.simulation.drive import looks_at_one_joint
@@ -40,9 +39,7 @@ class TorqueEquation:
     with memory contributes its friction at constant velocity.
 
     Attributes:
-        rows: Number of rows from each log.
         motion: Motion of all logs, concatenated.
-        shape: Number of samples and of joints of the motion.
         decimate: Filter and decimation for torques at all samples.
         moving: Which samples count, joint by joint.
         labels: Names of the coordinates.
@@ -71,16 +68,14 @@ class TorqueEquation:
         self._space, self._bench, self._model, self._logs = space, bench, model, logs
         self.joints, self.labels = bench.joints, tuple(space.labels)
         self.decimate = filtering.decimation(logs)
-        self.rows = self.decimate.rows
         self._measured = np.concatenate([log.extras["torque"] for log in logs]) if measured else None
         self._motions = [filtering.motion(log) for log in logs]
         self.motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
-        self.shape = self.motion.qpos.shape
         # A simulated step uses the command at its beginning, on which the second difference of positions is centred.
         share = 1 - 1 / substeps if substeps else 1.0
         self._lateness = (share * logs[0].timestep / 2 if held else 0.0), logs[0].timestep
         self.moving = filtering.is_moving(self.decimate(self.motion.qvel))
-        self.box = Box(*(np.asarray(side, np.float64) for side in (space.start, space.low, space.high)))
+        self.box = space.box
         is_local = looks_at_one_joint(model)
         self._sparsity = Sparsity.of(space, range(bench.nv) if is_local else [0] * bench.nv)
         steady = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
@@ -105,7 +100,8 @@ class TorqueEquation:
     def state(self, vector: Float[np.ndarray, "coordinates"]) -> DriveState:
         """Return the inputs of the friction model at every sample, as numpy arrays of shape (time, nv)."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
-        return self._state(values).map(lambda signal: np.broadcast_to(np.asarray(signal, np.float64), self.shape))
+        shape = self.motion.qpos.shape
+        return self._state(values).map(lambda signal: np.broadcast_to(np.asarray(signal, np.float64), shape))
 
     def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
         """Return the derivative of the residual torque with respect to the coordinates."""

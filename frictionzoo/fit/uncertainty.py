@@ -2,15 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import scipy.special
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.sparse.csgraph import connected_components
 
 from frictionzoo.fit.base import Fit
-from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.lm import MOST_COORDINATES
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective
@@ -27,6 +25,33 @@ TAKES_PART = 0.1  # entry of a combination of length 1 above which a parameter b
 CORRELATED = 0.99  # magnitude of the correlation above which two parameters are indistinguishable
 _LASTING = 0.97  # largest correlation rho of successive stretches, the bound of Andrews and Monahan
 _NOTHING = 1e-12  # curvature, as a share of the largest, below which a parameter has no effect
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """Multivariate Student's t distribution of coordinates.
+
+    Attributes:
+        labels: Name of each coordinate, one of `Space.labels`.
+        centre: Middle of each coordinate's interval.
+        matrix: Scale matrix: half an interval is Student's quantile times the root of its diagonal.
+        freedom: Degrees of freedom.
+    """
+
+    labels: tuple[str, ...]
+    centre: Float[np.ndarray, "own"]
+    matrix: Float[np.ndarray, "own own"]
+    freedom: float
+
+    def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count own"]:
+        """Draw vectors: normal ones over the root of a chi-squared number that a vector's coordinates share.
+
+        Source: S. Kotz, S. Nadarajah, "Multivariate t distributions and their applications", 2004, section 1.1.
+        """
+        # With fewer stretches than coordinates the matrix is singular and has no Cholesky factor.
+        eigenvalues, axes = np.linalg.eigh(self.matrix)
+        normal = rng.standard_normal((count, len(self.labels))) @ (axes * np.sqrt(np.maximum(eigenvalues, 0))).T
+        return self.centre + normal / np.sqrt(rng.chisquare(self.freedom, (count, 1)) / self.freedom)
 
 
 @dataclass(frozen=True)
@@ -114,7 +139,7 @@ def estimate_uncertainty(
         return Uncertainty(missing="there is one segment only, and no spread between segments")
     compile_scores = Objective.compile_scores if fit is None else fit.compile_scores
     if (begun := objective.begun) is not None:  # a second search refines the states of the fit
-        begun = compile_scores(objective.beginning(begun))(vector)[0].states
+        begun = compile_scores(objective.beginning(begun))(vector)[0].begun
     equations, scores = compile_scores(objective.beginning(begun))(vector)
     if not all(np.isfinite(part).all() for part in (equations.gradient, equations.hessian, scores)):
         return Uncertainty(missing="the derivative of the objective is not finite at the result")
@@ -137,47 +162,41 @@ def assess(
     All coordinates belong to physical parameters. The Hessian has the exact second derivative of a robust loss.
     `scores` holds the gradient of each stretch; `collinear` replaces `COLLINEAR`.
     """
-    vector, low, high = (np.asarray(side, np.float64) for side in (vector, space.low, space.high))
+    vector, (_, low, high) = np.asarray(vector, np.float64), space.box
     curvature = np.diag(equations.hessian)
     at_bound = space.at_bound(vector)
     effective = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
-    solution = _solve(equations, scores, effective, float(np.finfo(space.start.dtype).eps), collinear)
+    precision = float(np.finfo(space.start.dtype).eps)
+    matrix, step, combined, joined = _solve(equations, scores, effective, precision, collinear)
 
-    intervals, subset = np.full((len(vector), 2), np.nan), effective[~solution.combined]
-    covariance = _describe(space, vector, subset, solution)
+    intervals, subset, kept = np.full((len(vector), 2), np.nan), effective[~combined], ~combined
+    labels = tuple(space.labels[index] for index in subset)
+    covariance = _widen(labels, vector[subset], matrix[np.ix_(kept, kept)], step[kept], len(scores) - 1.0)
     half = _quantile(covariance.freedom) * np.sqrt(np.diag(covariance.matrix))
     intervals[subset] = np.stack([covariance.centre - half, covariance.centre + half], axis=1)
     inside = (intervals[:, 0] > low) & (intervals[:, 1] < high)  # of NaN, False
     identifiable = inside & (intervals[:, 1] - intervals[:, 0] < 2 * WIDEST)
-    groups = _list_groups(solution.joined & ~np.logical_or.outer(identifiable[effective], identifiable[effective]))
+    unidentifiable = ~np.logical_or.outer(identifiable[effective], identifiable[effective])
+    count, number_of = connected_components(joined & unidentifiable, directed=False)
+    groups = [effective[number_of == number] for number in range(count)]
 
     return Uncertainty(
         space.physical(np.clip(intervals, low[:, None], high[:, None])),
         {name: space.spread(name, subset, known=True) for name, subset in space.split(identifiable).items()},
-        tuple(tuple(space.labels[effective[i]] for i in group) for group in groups),
+        tuple(tuple(space.labels[index] for index in group) for group in groups if len(group) > 1),
         covariance=covariance if covariance.labels else None,
     )
 
 
-class _Solution(NamedTuple):
-    """Covariance of the coordinates that have an effect.
-
-    Attributes:
-        step: Newton step from the best vector to the minimum.
-        combined: Whether a coordinate has an effect only in combination with others.
-        joined: Whether two coordinates belong to the same such combination, or have strongly correlated estimates.
-    """
-
-    covariance: Float[np.ndarray, "seen seen"]
-    freedom: float
-    step: Float[np.ndarray, "seen"]
-    combined: Bool[np.ndarray, "seen"]
-    joined: Bool[np.ndarray, "seen seen"]
-
-
 def _solve(
     equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, precision: float, collinear: float
-) -> _Solution:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the solution for the coordinates that have an effect, `seen`.
+
+    Returns:
+        Their covariance; the Newton step to the minimum; whether each has an effect only in combination with others;
+        whether two belong to the same such combination, or have strongly correlated estimates.
+    """
     scale = np.sqrt(np.diag(equations.hessian)[seen])
     eigenvalues, axes = np.linalg.eigh(equations.hessian[np.ix_(seen, seen)] / np.outer(scale, scale))
     # Eigenvalues near the precision of the matrix are rounding error: their combinations have no effect.
@@ -197,7 +216,7 @@ def _solve(
         np.abs(share) > TAKES_PART * np.sqrt(np.outer(np.diag(share), np.diag(share))),
         correlated & ~np.logical_or.outer(combined, combined),
     )
-    return _Solution(covariance, stretches - 1.0, -inverse @ equations.gradient[seen], combined, joined)
+    return covariance, -inverse @ equations.gradient[seen], combined, joined
 
 
 def _whiten(moved: Float[np.ndarray, "stretches seen"]) -> Float[np.ndarray, "stretches seen"]:
@@ -209,25 +228,16 @@ def _whiten(moved: Float[np.ndarray, "stretches seen"]) -> Float[np.ndarray, "st
     return innovations / (1 - rho)
 
 
-def _describe(
-    space: Space, vector: Float[np.ndarray, "coordinates"], own: Int[np.ndarray, "own"], found: _Solution
+def _widen(
+    labels: tuple[str, ...], best: np.ndarray, matrix: np.ndarray, step: np.ndarray, freedom: float
 ) -> Covariance:
     """Return the distribution of these coordinates, shifted and widened by half the step left to the minimum."""
-    kept = ~found.combined
-    matrix, step = found.covariance[np.ix_(kept, kept)], found.step[kept]
     deviation = np.sqrt(np.diag(matrix))
     product = np.outer(deviation, deviation)
-    correlation = np.divide(matrix, product, out=np.eye(len(own)), where=product > 0)
-    stretched = deviation + np.abs(step) / 2 / _quantile(found.freedom)
-    labels = tuple(space.labels[index] for index in own)
-    return Covariance(labels, vector[own] + step / 2, correlation * np.outer(stretched, stretched), found.freedom)
+    correlation = np.divide(matrix, product, out=np.eye(len(labels)), where=product > 0)
+    stretched = deviation + np.abs(step) / 2 / _quantile(freedom)
+    return Covariance(labels, best + step / 2, correlation * np.outer(stretched, stretched), freedom)
 
 
 def _quantile(freedom: float) -> float:
     return float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
-
-
-def _list_groups(joined: Bool[np.ndarray, "seen seen"]) -> list[Int[np.ndarray, "members"]]:
-    count, label = connected_components(joined, directed=False)
-    groups = (np.flatnonzero(label == number) for number in range(count))
-    return [group for group in groups if len(group) > 1]

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError
@@ -38,4 +40,4 @@ def in_other_steps(objective: Objective, drive: Drive, bench: Bench) -> Objectiv
     sampling = bench.sampling(objective.interval)
     other = Drive.assemble(bench, drive.model, drive.engine.name, sampling)
     space = Space(bench, other.model, str(objective.space.start.dtype))
-    return objective.for_drive(space, other.rollout).beginning(objective.states)
+    return objective.for_drive(space, other.rollout).beginning(np.asarray(objective.data.begun))

@@ -15,9 +15,8 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_rollouts, cut_segments
 from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.blocks import measured_states
-from frictionzoo.fit.motion import Filtering
+from frictionzoo.fit.motion import Filtering, Recordings
 from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.several import Searches
 from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
@@ -172,8 +171,8 @@ class Pilot:
         vector, loss = (searches.best(end) if thorough else end)[1:]
         if not np.isfinite([loss, *vector]).all():
             raise FitError("the loss is not finite at the start of the fit")
-        self._end = objective.beginning(searches.states).compile_scores()(vector)
-        return self._conclude(vector, loss, moving, searches.states and searches.states.states)
+        self._end = objective.beginning(searches.begun).compile_scores()(vector)
+        return self._conclude(vector, loss, moving, searches.begun and searches.begun.states)
 
     def foresee(self, found: Found, without: str, instead: str) -> Found:
         """Predict the last fit's result, linearised, with bench parameter `without` fixed at 0 and `instead` free."""

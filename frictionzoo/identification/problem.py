@@ -27,7 +27,7 @@ from frictionzoo.diagnostics import check_up
 from frictionzoo.diagnostics.findings import Doubt
 from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
-from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.start import begin_where
 from frictionzoo.identification.bounds import widen_bounds
 from frictionzoo.identification.choices import Choice

@@ -19,8 +19,8 @@ from frictionzoo.data.cache import cache_folder
 from frictionzoo.fit import Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.loop import Record
+from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.posterior import Fitted
-from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.commands import Origin, suggest_commands
 from frictionzoo.identification.discretisation import halve_step, in_other_steps, is_wanted

@@ -1,7 +1,7 @@
 """Covariance of the parameters for `result.json`."""
 
 from frictionzoo.bench.base import Bench
-from frictionzoo.fit.covariance import Covariance
+from frictionzoo.fit.uncertainty import Covariance
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result.types import CovarianceRow
 

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import ConfigError, RunError, closest
 from frictionzoo.core.params import Param
-from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.posterior import Chains, Fitted, draw_posterior
 from frictionzoo.fit.space import Space
+from frictionzoo.fit.uncertainty import Covariance
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result.types import Result
 from frictionzoo.result.values import Parameter, read_parameters

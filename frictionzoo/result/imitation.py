@@ -12,7 +12,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_rollouts
 from frictionzoo.data.signals import find_noise, find_quantum
 from frictionzoo.fit import Space
-from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.motion import Recordings
 from frictionzoo.simulation.drive import Drive
 
 MOST_STEPS = 1e6  # most simulation steps times joints

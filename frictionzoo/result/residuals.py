@@ -19,8 +19,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState
 from frictionzoo.data.signals import find_noise
 from frictionzoo.fit import Space
-from frictionzoo.fit.motion import Decimation, Filtering
-from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.motion import Decimation, Filtering, Recordings
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque

@@ -13,8 +13,7 @@ from frictionzoo.bench.actuators.force import Force
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.fit import Fit, Space
-from frictionzoo.fit.motion import Filtering
-from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.motion import Filtering, Recordings
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import TorchFriction
 from frictionzoo.result import torque_types as types
@@ -65,7 +64,7 @@ def measure_torque(
     except FrictionzooError as error:
         _log.info("residual torque not computed: %s", error)
         return None
-    training_rows = int(np.cumsum(equation.rows)[train - 1])
+    training_rows = int(np.cumsum(equation.decimate.rows)[train - 1])
     halves = [np.split(torque, [training_rows]) for torque in (residual, driving)]
     rms = {part: _rms(*torques) for part, torques in zip(("train", "test"), zip(*halves, strict=True), strict=True)}
     chosen, held = filtering
