@@ -11,7 +11,7 @@ from frictionzoo.bench.actuators.force import Force
 from frictionzoo.core.config import compose_config, compose_settings
 from frictionzoo.core.described import describe
 from frictionzoo.core.log import Log
-from frictionzoo.identification.bounds import widen_bounds
+from frictionzoo.identification.choices import widen_bounds
 from frictionzoo.models import FrictionModel
 
 RATE = 2.0  # rad/s, of a sine of 1 rad

@@ -26,7 +26,7 @@ from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.names import label_values, merge_known, name_some
 from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
-from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.section_types import TorqueRow
 from frictionzoo.result.verdict import doubt_joints, explain_failure
 
 SECTION: dict[str, Any] = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}

@@ -14,8 +14,8 @@ from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
-from frictionzoo.result.curves import LATER, NEIGHBOURS, read_curves, sample_friction, write_curves
-from frictionzoo.result.portrait import Portrait
+from frictionzoo.result.curves import LATER, read_curves, write_curves
+from frictionzoo.result.portrait import AROUND, Portrait, sample_friction
 
 OWN = {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True}
 
@@ -70,7 +70,7 @@ def test_dry_friction_of_mujoco_is_drawn_at_its_limit(samples):
 
 def test_no_friction_is_zero_for_every_joint():
     samples = DriveState(*np.random.default_rng(0).normal(size=(5, 50, 3)))
-    assert NEIGHBOURS > 50  # fewer states than are looked at
+    assert AROUND > 50  # fewer states than are looked at
     for curve in sample_friction(Baseline(3), samples)[1:]:
         np.testing.assert_array_equal(curve, np.zeros((81, 3)))
 

@@ -14,8 +14,8 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit import LevenbergMarquardt, estimate_uncertainty
 from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Parts, Problem
-from frictionzoo.identification.discretisation import halve_step, in_other_steps, is_wanted
-from frictionzoo.identification.solve import finer
+from frictionzoo.identification.pilot import halve_step, in_other_steps
+from frictionzoo.identification.solve import finer, is_wanted
 from frictionzoo.simulation.drive import Drive
 
 TRUTH = {"bench.armature": 0.07, "friction.viscous_coefficient": 0.4}

@@ -20,7 +20,8 @@ from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.diagnostics.following import Followed, check_following
 from frictionzoo.diagnostics.lags import compare
 from frictionzoo.diagnostics.motion import check_motion
-from frictionzoo.result.verdict import doubt_gain, doubt_reference, explain_failure, list_moving
+from frictionzoo.identification.solve import list_moving
+from frictionzoo.result.verdict import doubt_errors, doubt_reference, explain_failure
 
 ARMATURE = {"init": 50.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}
 RNG = np.random.default_rng(0)
@@ -321,6 +322,7 @@ def test_a_drive_without_friction_at_a_bound_is_no_reference() -> None:
 
 def test_a_law_that_explains_next_to_nothing_is_told() -> None:
     metrics = {"test": {"position_mae": 0.09}, "baseline": {"position_mae": 0.1}}
-    assert "is 90 % of the error without friction" in (doubt_gain({"model": "stribeck", "metrics": metrics}) or "")
-    assert doubt_gain({"model": "baseline", "metrics": metrics}) is None
-    assert doubt_gain({"model": "stribeck", "metrics": metrics | {"test": {"position_mae": 0.05}}}) is None
+    (finding,) = doubt_errors({"model": "stribeck", "metrics": metrics})
+    assert "is 90 % of the error without friction" in finding["text"]
+    assert not [*doubt_errors({"model": "baseline", "metrics": metrics})]
+    assert not [*doubt_errors({"model": "stribeck", "metrics": metrics | {"test": {"position_mae": 0.05}}})]

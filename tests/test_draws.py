@@ -20,7 +20,7 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit.uncertainty import Covariance
 from frictionzoo.result import draws
-from frictionzoo.result.band import predict_band
+from frictionzoo.result.draws import predict_band
 
 MANY = 20_000
 

@@ -19,6 +19,7 @@ from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout
 
 from frictionzoo.core.anonymous import without_paths
 from frictionzoo.core.telling import say_percent
+from frictionzoo.identification.solve import still_falling
 from frictionzoo.report import with_plotly
 from frictionzoo.report.rollouts import say_where
 from frictionzoo.report.run_page import MOST, check_result, correlate, write_report
@@ -26,7 +27,6 @@ from frictionzoo.report.run_plots import choose_rollouts, plot_run
 from frictionzoo.report.text import format_change
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.portrait import Portrait
-from frictionzoo.result.verdict import still_falling
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 

@@ -12,7 +12,7 @@ from frictionzoo.bench import Bench, DcMotorPD, Force, JointPD, PositionPD, Reco
 from frictionzoo.bench.limits import Limits
 from frictionzoo.bench.torque import stall_torque
 from frictionzoo.core.log import Log
-from frictionzoo.identification.recorded_limits import recorded_limits, round_down
+from frictionzoo.identification.commands import recorded_limits, round_down
 
 PENDULUM = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="shaft" axis="0 1 0"/>
 <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.001"/></body></worldbody></mujoco>"""

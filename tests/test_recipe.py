@@ -18,11 +18,10 @@ from frictionzoo.data.signals import find_noise
 from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.choices import Choice, imply
-from frictionzoo.identification.misfit import Misfit
-from frictionzoo.identification.noise import Noise, find_step
+from frictionzoo.identification.noise import Misfit, Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
 from frictionzoo.identification.problem import Parts, _divide_interval
-from frictionzoo.identification.stages import hold_back
+from frictionzoo.identification.trials import hold_back
 
 TIMESTEP, DELAY = 0.005, 0.012
 PULL = 0.2  # N m, constant

@@ -21,8 +21,8 @@ from frictionzoo.fit.known import Known
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.models.registry import get_model
+from frictionzoo.result.section_types import TorqueRow
 from frictionzoo.result.torque import choose_filtering, measure_torque
-from frictionzoo.result.torque_types import TorqueRow
 
 WRONG = np.array([0.0, 0.3, 0.0, 0.0, 0.5])
 """What the torques have besides: of the second joint half a wave's height, of the last a constant [N m]."""

@@ -15,7 +15,8 @@ from frictionzoo.fit import Space
 from frictionzoo.fit.motion import Filtering, Recordings
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.attribution import Candidate, attribute
-from frictionzoo.result.residuals import Left, describe_residual, find_left
+from frictionzoo.result.residual_torque import Left, find_left
+from frictionzoo.result.residuals import describe_residual
 
 ARMATURE, DRY, VISCOUS, STEP = 0.05, 0.3, 0.2, 0.002
 MASS, LENGTH, OWN = 0.26, 0.1127, 0.0011  # of knee_rod.xml

@@ -26,7 +26,7 @@ from frictionzoo.core.output import occupy
 from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.fit.loop import Record
-from frictionzoo.identification import Problem, kept
+from frictionzoo.identification import Problem, recipe
 from frictionzoo.report import run_plots
 
 ITERATIONS = 40
@@ -298,9 +298,9 @@ def test_automatic_settings_are_found_once(
     with monkeypatch.context() as patched:
         patched.setattr(loop.FitModule, "training_step", stop)
         stopped = call(*options, "hydra.run.dir=run")
-    assert stopped.status == 2 and (tmp_path / "run" / kept.SETTLED).exists(), stopped.err
+    assert stopped.status == 2 and (tmp_path / "run" / recipe.SETTLED).exists(), stopped.err
     with monkeypatch.context() as patched:
-        patched.setattr(kept, "settle", stop)
+        patched.setattr(recipe, "settle", stop)
         resumed = call("resume=run")
     assert resumed.status in (0, 3) and "automatic settings read from" in resumed.err
     assert_same(tmp_path / "run", tmp_path / "whole")

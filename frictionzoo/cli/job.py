@@ -19,7 +19,7 @@ from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
-from frictionzoo.identification.kept import Kept
+from frictionzoo.identification.recipe import Kept
 from frictionzoo.report.terminal import summarise_in_markdown
 from frictionzoo.result.record import describe_data, pick_metrics
 from frictionzoo.result.types import Result

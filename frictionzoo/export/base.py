@@ -15,7 +15,7 @@ from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.result.fitted_drive import FittedDrive
-from frictionzoo.result.run_types import FAR
+from frictionzoo.result.verdict import FAR
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from frictionzoo.export.stand import compare_torque, list_coupled, mount
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
-from frictionzoo.result.run_types import WrittenRow
+from frictionzoo.result.section_types import WrittenRow
 from frictionzoo.result.simulator import RK4
 
 _log = logging.getLogger(__name__)

@@ -12,15 +12,15 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.limits import Limits, refuse_unholdable
+from frictionzoo.bench.torque import actuator_torque, stall_torque
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.log import Log
 from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.identification.problem import Problem
-from frictionzoo.identification.recorded_limits import recorded_limits, usual_inputs
 from frictionzoo.models import TorchFriction
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.sees import SEES, observe, simpler_law, suggest_law
-from frictionzoo.result.residual_types import ResidualRow
-from frictionzoo.result.verdict_types import CommandRow
+from frictionzoo.result.section_types import CommandRow, ResidualRow
 
 FIRST_LAW = "mujoco_default"  # suggested if no other model is
 TARGET = "mjcf"
@@ -30,6 +30,7 @@ _OF_THE_FOLDER = re.compile(r"[+~]*(resume|output)=")
 _OF_THE_LAW = re.compile(r"[+~]*model\b")
 _OF_THE_DRIVE = re.compile(r"(bench|data|experiment)=|(bench|scale)\.")
 _OF_THE_DATA = re.compile(r"(data|experiment)\b")
+_USUAL = 0.999  # quantile of the samples within a limit: samples beyond may be outliers
 _PARAMS, _SIGN = ".params.", "data.sign."
 _WIDER = 10.0  # distance factor of a new bound from a repaired value outside the bounds
 
@@ -87,11 +88,7 @@ def suggest_commands(
     if excitable:
         found["recording"] = _excite_in_shell(problem, limits, law, origin)
     found["export"] = f"python -m frictionzoo.export {origin.place} target={TARGET}"
-    return _rows(found)
-
-
-def _rows(commands: Mapping[str, str]) -> list[CommandRow]:
-    return [cast(CommandRow, {"kind": kind, "command": command}) for kind, command in commands.items()]
+    return [cast(CommandRow, {"kind": kind, "command": command}) for kind, command in found.items()]
 
 
 def _list_repairs(problem: Problem) -> list[Repair]:
@@ -206,15 +203,11 @@ def _choose_in_shell(problem: Problem, law: str, residual: ResidualRow | None) -
 def _excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any]) -> bool:
     """Return whether the experiment design supports this drive."""
     try:
-        inputs = {name: np.zeros(problem.bench.nv) for name in problem.bench.actuator.inputs} | _usual(problem)
+        inputs = _holding_inputs(problem.bench, problem.dataset.train)
         refuse_unholdable(problem.bench, values, inputs, Limits.read(problem.bench.nv, **limits))
     except ConfigError:
         return False
     return problem.drive.engine.reverse
-
-
-def _usual(problem: Problem) -> dict[str, Float[np.ndarray, "nv"]]:
-    return usual_inputs(problem.bench, problem.dataset.train)
 
 
 def _has_parameters(problem: Problem) -> bool:
@@ -228,7 +221,8 @@ def _excite_in_shell(problem: Problem, limits: Mapping[str, Any], law: str, orig
     if _has_parameters(problem):
         return f"{_EXCITE} {origin.place} {shlex.join(stated)}"
     about = [each for each in origin.options if _OF_THE_DRIVE.match(each)]
-    inputs = [f"inputs.{name}={_round(np.median(usual))}" for name, usual in _usual(problem).items()]
+    usual = _usual_inputs(problem.bench, problem.dataset.train)
+    inputs = [f"inputs.{name}={_round(np.median(values))}" for name, values in usual.items()]
     return shlex.join([*_EXCITE.split(), *about, f"model={law}", *stated, *inputs])
 
 
@@ -242,3 +236,44 @@ def _plain(value: Any) -> str:
 
 def _round(value: float | np.floating) -> float:
     return float(f"{value:.3g}")
+
+
+def _usual_inputs(bench: Bench, logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Return the actuator model's median inputs in accepted logs, without feed-forward commands."""
+    actuator = bench.actuator
+    feed_forward = set(actuator.commands) & set(actuator.optional_inputs)
+    names = [name for name in actuator.inputs if name not in feed_forward]
+    return {name: np.median(np.concatenate([log.inputs[name] for log in logs]), axis=0) for name in names}
+
+
+def _holding_inputs(bench: Bench, logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Return the actuator model's inputs at standstill: median ones, and no feed-forward commands."""
+    return {name: np.zeros(bench.nv) for name in bench.actuator.inputs} | _usual_inputs(bench, logs)
+
+
+def recorded_limits(bench: Bench, values: Mapping[str, Any], logs: Sequence[Log]) -> dict[str, Any]:
+    """Return the limits `position`, `velocity` and `torque` of each joint as options of `frictionzoo.design`.
+
+    No limit exceeds the recorded motion. The torque is the identified actuator's at the recorded states, at most its
+    torque at standstill. All limits are rounded down in magnitude. `values` are the bench's identified parameters, each
+    of shape (nv,); `logs` are training logs that the bench has accepted.
+    """
+    qpos = np.concatenate([log.qpos for log in logs])
+    low, high = (np.quantile(qpos, share, axis=0) for share in (1 - _USUAL, _USUAL))
+    velocity = np.quantile(np.abs(np.concatenate([log.qvel for log in logs])), _USUAL, axis=0)
+    used_torque = np.quantile(
+        np.abs(np.concatenate([actuator_torque(bench, log, values) for log in logs])), _USUAL, axis=0
+    )
+    torque = np.minimum(used_torque, stall_torque(bench, values, _holding_inputs(bench, logs), (low + high) / 2))
+    pairs = [[-round_down(-a), round_down(b)] for a, b in zip(low, high, strict=True)]
+    limits = {"position": pairs, "velocity": list(map(round_down, velocity)), "torque": list(map(round_down, torque))}
+    return limits if bench.nv > 1 else {name: limit[0] for name, limit in limits.items()}
+
+
+def round_down(value: float) -> float:
+    """Round down to three significant digits."""
+    if not np.isfinite(value) or value == 0:
+        return float(value)
+    decimals = 2 - int(np.floor(np.log10(abs(value))))
+    nearest = round(float(value), decimals)
+    return nearest if nearest <= value else round(nearest - 10.0**-decimals, decimals)

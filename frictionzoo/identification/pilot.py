@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
+from frictionzoo.core.described import remake
 from frictionzoo.core.errors import FitError, FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_rollouts, cut_segments
@@ -22,7 +23,6 @@ from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.fit.uncertainty import WIDEST, assess
 from frictionzoo.identification.choices import OPTIONAL
-from frictionzoo.identification.discretisation import in_other_steps
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulation.drive import Drive
 
@@ -35,7 +35,7 @@ _ROLLOUTS = 64  # number of rollouts from which errors are measured
 _DISTURBED = 1e-3  # disturbance of initial velocities, as a share of a joint's RMS speed
 
 
-class Found(NamedTuple):
+class PilotResult(NamedTuple):
     """Result of a pilot fit.
 
     Attributes:
@@ -59,7 +59,7 @@ class Found(NamedTuple):
     sizes: Float[np.ndarray, "nv 2"] | None = None
 
     @classmethod
-    def begun(cls, labels: list[str], vector: Float[np.ndarray, "coordinates"]) -> "Found":
+    def begun(cls, labels: list[str], vector: Float[np.ndarray, "coordinates"]) -> "PilotResult":
         """Return the start of a search: coordinates without intervals, loss and states."""
         unknown = np.full(len(vector), np.nan)
         return cls(labels, vector, unknown, unknown, np.zeros(len(vector), bool), np.inf, np.zeros((0, 0, 0)), None)
@@ -104,7 +104,7 @@ class Pilot:
         segments: Mapping[str, Any],
         loss: Mapping[str, Any],
         engine: str,
-        begun: Found | None = None,
+        begun: PilotResult | None = None,
     ) -> None:
         self.bench: Bench = bench.observing(model.inputs)
         accepted = tuple(map(self.bench.accept, logs))
@@ -131,7 +131,7 @@ class Pilot:
         """Initial coordinates of the physical parameters."""
         return np.asarray(self.space.start, np.float64)[: len(self.space.labels)]
 
-    def balance(self, bench: Bench) -> Found:
+    def balance(self, bench: Bench) -> PilotResult:
         """Return a start from the torque balance with the free parameters of `bench`, or the initial values if better.
 
         Rollout errors decide between both: with widely spaced samples, accelerations are unknown.
@@ -144,16 +144,16 @@ class Pilot:
             vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
             # Poorly determined parameters end at a bound, from which a search returns slowly.
             vector = np.where(space.at_bound(vector), space.start, vector)
-            starts.append(self.whole(Found.begun(space.labels, vector)))
-        return Found.begun(self.space.labels, min(starts, key=self._miss))
+            starts.append(self.whole(PilotResult.begun(space.labels, vector)))
+        return PilotResult.begun(self.space.labels, min(starts, key=self._miss))
 
     def fit(
         self,
-        begun: Found,
+        begun: PilotResult,
         without: Collection[str] = (),
         thorough: bool = False,
         kept: Bool[np.ndarray, "segments"] | None = None,
-    ) -> Found:
+    ) -> PilotResult:
         """Fit by Levenberg-Marquardt; the result does not contain the bench parameters `without`, which are fixed at 0.
 
         `thorough` uses a multi-start: with nested models if the model has several minima, and with other delays. `kept`
@@ -174,7 +174,7 @@ class Pilot:
         self._end = objective.beginning(searches.begun).compile_scores()(vector)
         return self._conclude(vector, loss, moving, searches.begun and searches.begun.states)
 
-    def foresee(self, found: Found, without: str, instead: str) -> Found:
+    def foresee(self, found: PilotResult, without: str, instead: str) -> PilotResult:
         """Predict the last fit's result, linearised, with bench parameter `without` fixed at 0 and `instead` free."""
         (equations, scores), vector = self._end, self.whole(found)
         moving = self._moving({without, *(OPTIONAL.keys() - found.owners - {instead})})
@@ -201,7 +201,7 @@ class Pilot:
         loss: float,
         moving: Bool[np.ndarray, "coordinates"],
         states: Any,
-    ) -> Found:
+    ) -> PilotResult:
         """Return the result at a vector whose `moving` coordinates were fitted; `_end` has the equations there."""
         half, (equations, scores) = np.full(len(vector), np.nan), self._end
         if self.objective.stretches > 1:  # intervals need a spread between segments
@@ -209,7 +209,7 @@ class Pilot:
             intervals = assess(self.space, vector, equations, scores, _COLLINEAR).intervals
             bounds = self.space.pick({name: intervals[name] for name in self.space.places})
             half = np.array([self._half(label, np.asarray(bounds[label])) for label in self.space.labels])
-        return Found(
+        return PilotResult(
             labels=[label for label, moves in zip(self.space.labels, moving, strict=True) if moves],
             vector=vector[moving],
             half=half[moving],
@@ -229,13 +229,13 @@ class Pilot:
             self._simulated[key] = in_other_steps(self.objective, self._drive, observing)
         return self._simulated[key]
 
-    def approaching(self, other: Objective, found: Found) -> "Pilot":
+    def approaching(self, other: Objective, found: PilotResult) -> "Pilot":
         """Return this pilot with the residuals of another simulation (see `simulate`), linearised at a result."""
         near, objective = copy.copy(self), self.objective.beginning(found.states_of(self.segments))
         near.objective = objective.approaching(other, self.whole(found))
         return near
 
-    def step(self, found: Found) -> tuple[Float[np.ndarray, "coordinates"], float]:
+    def step(self, found: PilotResult) -> tuple[Float[np.ndarray, "coordinates"], float]:
         """Return a Gauss-Newton step (0 for coordinates undetermined or at a bound), and the loss it predicts."""
         objective = self.objective.beginning(self.objective.begun)
         equations = objective.compile_normal_equations()(self.whole(found))
@@ -245,14 +245,14 @@ class Pilot:
         step[free] = -_solve(equations, places)
         return step, equations.loss + float(step[free] @ equations.gradient[places])
 
-    def whole(self, found: Found) -> Float[np.ndarray, "coordinates"]:
+    def whole(self, found: PilotResult) -> Float[np.ndarray, "coordinates"]:
         """Return all coordinates; missing ones are 0 if optional, else the initial ones."""
         labels, start = self.space.labels, np.array(self.space.start, np.float64)
         optional = [label.partition("/")[0].removeprefix("bench.") in OPTIONAL for label in labels]
         start[: len(labels)] = found.among(labels, np.where(optional, 0.0, start[: len(labels)]))
         return start
 
-    def residuals(self, found: Found) -> Float[np.ndarray, "segments time nv"]:
+    def residuals(self, found: PilotResult) -> Float[np.ndarray, "segments time nv"]:
         """Return position errors in the fitted segments [rad or m], from estimated initial states if there are any."""
         qpos, _ = self.objective.beginning(found.states_of(self.segments)).predict(self.whole(found))
         return self._by_segment(qpos) - self.segments.qpos[:, 1:]
@@ -260,7 +260,7 @@ class Pilot:
     def _by_segment(self, qpos: Any) -> Float[np.ndarray, "segments time nv"]:
         return np.asarray(qpos).reshape(-1, *qpos.shape[2:])[: self.segments.count]
 
-    def errors(self, found: Found, logs: Sequence[Log], horizon: float) -> Float[np.ndarray, "batch time nv"]:
+    def errors(self, found: PilotResult, logs: Sequence[Log], horizon: float) -> Float[np.ndarray, "batch time nv"]:
         """Return position errors [rad or m] of consecutive rollouts of `horizon` seconds from measured states."""
         accepted = tuple(map(self.bench.accept, logs))
         windows = cut_rollouts(accepted, horizon, _ROLLOUTS, "consecutive", 0, self._sampling.history)
@@ -269,7 +269,7 @@ class Pilot:
         qpos, _ = self._drive.rollout.compiled(values, *start, windows.signals, windows.loads)
         return np.asarray(qpos) - windows.qpos[:, 1:]
 
-    def growth(self, found: Found) -> Float[np.ndarray, "time"]:
+    def growth(self, found: PilotResult) -> Float[np.ndarray, "time"]:
         """Return the position error from a disturbed initial velocity over time, divided by the one without forces.
 
         The largest over joints; median over segments.
@@ -287,7 +287,9 @@ class Pilot:
 
     def _miss(self, vector: Float[np.ndarray, "coordinates"]) -> float:
         """Return the mean position error in segments from measured states; infinite if a rollout diverges."""
-        return float(np.nan_to_num(np.abs(self.residuals(Found.begun(self.space.labels, vector))).mean(), nan=np.inf))
+        return float(
+            np.nan_to_num(np.abs(self.residuals(PilotResult.begun(self.space.labels, vector))).mean(), nan=np.inf)
+        )
 
     def _half(self, label: str, ends: Float[np.ndarray, "2"]) -> float:
         """Return half an interval's width in the optimiser's coordinate."""
@@ -297,7 +299,7 @@ class Pilot:
 
 
 def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-    """Return `Found.enough`; a step of a logarithm is already relative to the value."""
+    """Return `PilotResult.enough`; a step of a logarithm is already relative to the value."""
     logarithms = [space.params[label.partition("/")[0]].scale == "log" for label in space.labels]
     return _EXACT * np.where(logarithms, 1.0, np.fmax(1.0, np.abs(vector)))
 
@@ -310,3 +312,23 @@ def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
     curvature = np.diag(hessian)
     scale = np.sqrt(np.where(curvature > 0, curvature, 1.0))
     return np.linalg.lstsq(hessian / np.outer(scale, scale), gradient / scale, rcond=1e-10)[0] / scale
+
+
+def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:
+    """Return the test stand with half the timestep and `solreffriction=softness`.
+
+    Without `softness`, a friction constraint as stiff as the timestep allows stays so; others do not change.
+    """
+    constant, ratio = bench.solreffriction
+    if bench.is_stiff:  # the timestep alone makes the constraint softer than the drive's friction
+        constant /= 2
+    softness = list(softness or (constant, ratio))
+    return remake(bench, timestep=bench.timestep / 2, solreffriction=softness).observing(bench.observed)
+
+
+def in_other_steps(objective: Objective, drive: Drive, bench: Bench) -> Objective:
+    """Return the same objective on a test stand with another timestep."""
+    sampling = bench.sampling(objective.interval)
+    other = Drive.assemble(bench, drive.model, drive.engine.name, sampling)
+    space = Space(bench, other.model, str(objective.space.start.dtype))
+    return objective.for_drive(space, other.rollout).beginning(np.asarray(objective.data.begun))

@@ -29,8 +29,7 @@ from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.start import begin_where
-from frictionzoo.identification.bounds import widen_bounds
-from frictionzoo.identification.choices import Choice
+from frictionzoo.identification.choices import Choice, widen_bounds
 from frictionzoo.identification.pilot import Pilot
 from frictionzoo.identification.recipe import Settled, settle
 from frictionzoo.models import FrictionModel

@@ -3,7 +3,7 @@
 import copy
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.telling import tell
 from frictionzoo.data.cache import cache_folder
@@ -23,25 +24,28 @@ from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.posterior import Fitted
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.commands import Origin, suggest_commands
-from frictionzoo.identification.discretisation import halve_step, in_other_steps, is_wanted
+from frictionzoo.identification.pilot import halve_step, in_other_steps
 from frictionzoo.identification.problem import Problem
 from frictionzoo.models import Baseline
-from frictionzoo.result.curves import Curves, sample_friction
+from frictionzoo.result.curves import Curves
 from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.fitted_drive import FittedDrive
-from frictionzoo.result.portrait import DRAWS, Rows, portray
+from frictionzoo.result.portrait import DRAWS, Rows, portray, sample_friction
 from frictionzoo.result.record import Findings, build_result
-from frictionzoo.result.residuals import Left, describe_residual, find_left
+from frictionzoo.result.residual_torque import Left, find_left
+from frictionzoo.result.residuals import describe_residual
+from frictionzoo.result.section_types import FitRow, TimingRow
 from frictionzoo.result.torque import choose_filtering, measure_torque
-from frictionzoo.result.torque_types import TorqueRow
-from frictionzoo.result.types import FitRow, Result, TimingRow
-from frictionzoo.result.verdict import list_moving, still_falling
+from frictionzoo.result.types import Result
 from frictionzoo.simulation import Values
 from frictionzoo.simulation.drive import Drive
 from frictionzoo.simulation.rollout import make_observer
 
 _log = logging.getLogger(__name__)
+LATE = 0.1  # share of the iterations at the end in which a parameter must not move
+MOVING = 1 / 3  # of half its interval; larger moves are reported
+MOVING_BLINDLY = 0.01  # of its value, if it has no interval
 
 
 def solve(
@@ -75,8 +79,7 @@ def solve(
     evaluation_began = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(measured or problem)
-    torque, residual_torque = _measure_torque(problem, outcome), _find_left(problem, outcome)
-    residual = describe_residual(residual_torque, problem.objective.space, outcome.vector) if residual_torque else None
+    residual_torque, sections = _find_residual(problem, outcome)
 
     findings = Findings(
         name=name,
@@ -88,8 +91,7 @@ def solve(
         judgement=judgement,
         baseline=baseline,
         reference=reference["bench"],
-        torque=torque,
-        residual=residual,
+        **sections,
         links=problem.links,
         fit=_describe_fit(problem.objective.space, outcome, uncertainty),
         timing=_describe_timing(problem, outcome, began, intervals_began, evaluation_began),
@@ -99,7 +101,7 @@ def solve(
         warnings=[doubt.text for doubt in problem.doubts],
         device=device,
         uncertainty=uncertainty,
-        commands=suggest_commands(problem, outcome.values["bench"], residual, origin) if origin else [],
+        commands=suggest_commands(problem, outcome.values["bench"], sections["residual"], origin) if origin else [],
         recipe=[{"option": option, "value": value, "reason": reason} for option, value, reason in problem.choices],
     )
     result = build_result(findings)
@@ -149,6 +151,17 @@ def finer(problem: Problem) -> Callable[[Float[np.ndarray, "coordinates"]], Obje
     return approach
 
 
+def is_wanted(asked: Any) -> bool:
+    """Return whether the result is checked with half the timestep.
+
+    Raises:
+        ConfigError: `discretisation` is neither true nor false.
+    """
+    if not isinstance(asked, bool):
+        raise ConfigError(f"discretisation={asked}: expected true or false")
+    return asked
+
+
 def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
     """Fit and evaluate the bench without friction on the same segments and rollouts; return evaluation and values."""
     settings = problem.settings
@@ -169,18 +182,15 @@ def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
     return problem.evaluation.judge(drive.rollout.compiled, values), values
 
 
-def _measure_torque(problem: Problem, outcome: Outcome) -> TorqueRow | None:
-    recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.logs)
+def _find_residual(problem: Problem, outcome: Outcome) -> tuple[Left | None, dict[str, Any]]:
+    """Return the residual torque of the training recordings, and the sections `torque` and `residual`."""
     filtering = choose_filtering(problem.fit, problem.evaluation.torque)
-    space = problem.objective.space
-    return measure_torque(recordings, len(problem.dataset.train), space, outcome.vector, filtering)
-
-
-def _find_left(problem: Problem, outcome: Outcome) -> Left | None:
-    """Return the residual torque of the training recordings at the final values."""
-    recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.train)
-    filtering, _ = choose_filtering(problem.fit, problem.evaluation.torque)
-    return find_left(recordings, problem.objective.space, outcome.vector, filtering)
+    train, space = problem.dataset.train, problem.objective.space
+    recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.logs)
+    torque = measure_torque(recordings, len(train), space, outcome.vector, filtering)
+    residual_torque = find_left(recordings._replace(logs=train), space, outcome.vector, filtering[0])
+    residual = describe_residual(residual_torque, space, outcome.vector) if residual_torque else None
+    return residual_torque, {"torque": torque, "residual": residual}
 
 
 def _portray(problem: Problem, result: Result, left: Left | None) -> dict[str, Any]:
@@ -253,6 +263,34 @@ def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> F
         "falling": still_falling(outcome.history["loss"]) if descended else 0.0,
         "moving": list_moving(history, space.pick(uncertainty.intervals)) if descended else [],
     }
+
+
+def list_moving(
+    history: Mapping[str, Float[np.ndarray, "iterations"]], intervals: Mapping[str, Float[np.ndarray, "2"]]
+) -> list[str]:
+    """List the parameters that still moved when the fit ended.
+
+    A parameter moves if its means over the two halves of the last tenth of the iterations differ by more than a third
+    of half its 95 % interval, or by more than 1 % of its value if it has no interval. Labels are `bench.armature`, or
+    `bench.armature/knee` with several joints.
+    """
+    moving = []
+    for name, values in history.items():
+        half = int(LATE * len(values)) // 2
+        if not half:
+            continue
+        before, last = values[-2 * half : -half].mean(), values[-half:].mean()
+        width = MOVING * np.ptp(intervals.get(name, np.full(2, np.nan))) / 2
+        if abs(last - before) > (width if np.isfinite(width) else MOVING_BLINDLY * abs(last)):
+            moving.append(name)
+    return moving
+
+
+def still_falling(loss: Float[np.ndarray, "iterations"]) -> float:
+    """Return the relative decrease of the lowest loss in the last tenth of the iterations."""
+    finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
+    before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
+    return max(0.0, 1 - float(finite.min() / before)) if np.isfinite(before) and before > 0 else 0.0
 
 
 def _describe_timing(problem: Problem, outcome: Outcome, began: float, asked: float, judged: float) -> TimingRow:

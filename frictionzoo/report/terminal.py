@@ -11,10 +11,9 @@ from frictionzoo.core.telling import Rows, align, escape_all, say_percent
 from frictionzoo.report.text import escape_markdown, format_change, format_number, format_share
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known
-from frictionzoo.result.run_types import FAR, WrittenRow
-from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.section_types import TorqueRow, WrittenRow
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
-from frictionzoo.result.verdict import say_finding, say_purposes
+from frictionzoo.result.verdict import FAR, say_finding, say_purposes
 
 _format_value = partial(format_number, between=" ")
 _format_change = partial(format_change, signs="-++")

@@ -8,20 +8,14 @@ from typing import Any, get_type_hints
 import numpy as np
 import safetensors
 import safetensors.numpy
-import torch
 from jaxtyping import Float, Shaped
 
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import write_atomically
-from frictionzoo.core.state import DriveState, Signals
-from frictionzoo.models.base import FrictionModel, sliding_torque
+from frictionzoo.core.state import Signals
 from frictionzoo.result.portrait import Portrait
 
 FILE = "curves.safetensors"
-POINTS = 81  # velocities of a friction curve; odd, to include 0
-SAMPLES = 20_000  # most recorded states used, evenly spread
-NEIGHBOURS = 200  # recorded states of the closest velocity that represent a velocity
-SPREAD = (0.1, 0.9)  # quantiles of the model's torque over these states
 OWN = "history", "signals", "train_errors", "portraits", "left_time", "left", "recording", "begins"
 """Fields whose size may differ between runs on the same data. It depends on the iterations of the fit, the bench's
 delay, the finite training rollouts, the quantities that the model sees, the bandwidth of the torque comparison, and
@@ -161,37 +155,3 @@ def _check_record(record: Any, types: Mapping[str, Any], sizes: dict[str, int], 
             raise ValueError(
                 f"{prefix}{name} of type {array.dtype} and shape {array.shape}, expected ({annotated.dim_str})"
             )
-
-
-def sample_friction(
-    model: FrictionModel, samples: DriveState
-) -> tuple[
-    Float[np.ndarray, "points"],
-    Float[np.ndarray, "points nv"],
-    Float[np.ndarray, "points nv"],
-    Float[np.ndarray, "points nv"],
-]:
-    """Compute friction curves of a model: median, low and high quantile over states recorded near each velocity.
-
-    A model that depends on the velocity alone has no spread. Dry friction of MuJoCo has its sliding value.
-
-    Returns:
-        Velocities in both directions up to the highest recorded speed, dense around 0, and the three curves.
-    """
-    thinned = samples.map(lambda signal: signal[:: max(1, len(signal) // SAMPLES)])
-    fastest = float(np.abs(thinned.qvel).max()) or 1.0
-    share = np.linspace(-1, 1, POINTS)
-    velocity = fastest * np.sign(share) * share**2  # dense around standstill, where models differ most
-    curves = np.stack([_torque_near(model, thinned, point) for point in velocity])
-    return velocity, curves[:, 0], curves[:, 1], curves[:, 2]
-
-
-def _torque_near(model: FrictionModel, samples: DriveState, velocity: float) -> Float[np.ndarray, "3 nv"]:
-    distance = np.abs(samples.qvel - velocity).max(axis=1)
-    nearest = np.argpartition(distance, min(NEIGHBOURS, len(distance)) - 1)[:NEIGHBOURS]
-    states = samples.map(lambda signal: torch.from_numpy(np.asarray(signal[nearest], np.float64)))
-    states = states._replace(qvel=torch.full_like(states.qvel, velocity))
-    with torch.no_grad():
-        torque = sliding_torque(torch, model(states), states.qvel)
-    low, high = (torch.quantile(torque, share, dim=0) for share in SPREAD)
-    return np.stack([torch.quantile(torque, 0.5, dim=0).numpy(), low.numpy(), high.numpy()])

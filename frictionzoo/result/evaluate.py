@@ -24,21 +24,7 @@ Rollout = Callable[..., tuple]
 
 @dataclass(frozen=True)
 class Metrics:
-    """Errors of open-loop rollouts that start at measured states.
-
-    Diverged rollouts are counted but excluded from the errors, which are NaN if all diverged.
-
-    Attributes:
-        position_mae: Mean over the rollouts of their position MAE, averaged over time and joints [unit].
-        position_mae_std: Population standard deviation over the rollouts, the paper's sigma_MAE [unit]; 0 for one.
-        position_rmse: Root mean square position error over all samples [unit].
-        velocity_rmse: Root mean square velocity error over all samples [velocity_unit].
-        unit: `rad` or `m`.
-        velocity_unit: `rad/s` or `m/s`.
-        horizon: Length of a rollout [s].
-        rollouts: Number of simulated rollouts.
-        diverged: Number of rollouts that diverged.
-    """
+    """Errors of open-loop rollouts, as `MetricsRow` of `result.json` defines them; NaN if all rollouts diverged."""
 
     position_mae: float
     position_mae_std: float
@@ -85,7 +71,7 @@ def predict(rollout: Rollout, values: Values, segments: Segments) -> Prediction:
     return Prediction(np.asarray(qpos, dtype=np.float64), np.asarray(qvel, dtype=np.float64))
 
 
-def predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> list[Prediction]:
+def _predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> list[Prediction]:
     """Simulate several sets of segments; small sets form one batch, because each shape is compiled separately."""
     small = [each for each in cut if each.count <= _SMALL]
     if not small:
@@ -114,8 +100,8 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
     return Metrics(
         position_mae=float(mae.mean()) if kept.any() else np.nan,
         position_mae_std=float(mae.std()) if kept.any() else np.nan,
-        position_rmse=_rms(prediction.qpos[kept] - segments.qpos[kept, 1:]),
-        velocity_rmse=_rms(prediction.qvel[kept] - segments.qvel[kept, 1:]),
+        position_rmse=rms(prediction.qpos[kept] - segments.qpos[kept, 1:]),
+        velocity_rmse=rms(prediction.qvel[kept] - segments.qvel[kept, 1:]),
         unit=UNITS[joint_type]["position"],
         velocity_unit=UNITS[joint_type]["velocity"],
         horizon=round(segments.length * segments.timestep, 9),
@@ -124,13 +110,13 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
     )
 
 
-def measure_joints(prediction: Prediction, segments: Segments) -> tuple[JointErrors, ...]:
+def _measure_joints(prediction: Prediction, segments: Segments) -> tuple[JointErrors, ...]:
     """Compute the errors of simulated against measured states of each joint."""
     kept = ~prediction.diverged
     position = prediction.qpos[kept] - segments.qpos[kept, 1:]
     velocity = prediction.qvel[kept] - segments.qvel[kept, 1:]
     return tuple(
-        JointErrors(float(np.abs(q).mean()) if q.size else np.nan, _rms(q), _rms(v))
+        JointErrors(float(np.abs(q).mean()) if q.size else np.nan, rms(q), rms(v))
         for q, v in zip(np.moveaxis(position, 2, 0), np.moveaxis(velocity, 2, 0), strict=True)
     )
 
@@ -146,7 +132,8 @@ def _keep_errors(prediction: Prediction, segments: Segments) -> Float[np.ndarray
     return errors[np.unique(np.linspace(0, len(errors) - 1, KEPT).astype(int))] if len(errors) else errors
 
 
-def _rms(error: Float[np.ndarray, "..."]) -> float:
+def rms(error: Float[np.ndarray, "..."]) -> float:
+    """Return the root mean square; NaN if there is no value."""
     return float(np.sqrt(np.square(error).mean())) if error.size else np.nan
 
 
@@ -265,12 +252,14 @@ class Evaluation:
     def judge(self, rollout: Rollout, values: Values) -> Judgement:
         """Simulate every window with one drive and measure its errors."""
         cut = [segments for parts in self._by_horizon for segments in parts.values()]
-        long, places, local, *others = predict_all(rollout, values, [self.trajectories, self._places, self.local, *cut])
+        long, places, local, *others = _predict_all(
+            rollout, values, [self.trajectories, self._places, self.local, *cut]
+        )
         pairs, unit = zip(others, cut, strict=True), self.joint_type
         predicted = [{part: next(pairs) for part in parts} for parts in self._by_horizon]
         return Judgement(
             by_horizon=tuple({part: measure(*pair, unit) for part, pair in parts.items()} for parts in predicted),
-            by_joint={part: measure_joints(*pair) for part, pair in predicted[0].items()},
+            by_joint={part: _measure_joints(*pair) for part, pair in predicted[0].items()},
             rollout_mae={part: rollout_mae(*pair) for part, pair in predicted[0].items()},
             trajectory=measure(long.first, self.trajectories.first, unit),
             places=measure(places, self._places, unit),

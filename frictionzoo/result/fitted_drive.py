@@ -19,10 +19,9 @@ from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit.posterior import Fitted
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.formula import as_numpy, torch_values
-from frictionzoo.result.band import Band, predict_band
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.draws import Posterior, draw_parameters, draw_with_chains, put_values
+from frictionzoo.result.draws import Band, Posterior, draw_parameters, draw_with_chains, predict_band, put_values
 from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
 from frictionzoo.result.read_back import LAW, build_drive, hold, load_law, read_bench, read_segments
 from frictionzoo.result.record import read_run
@@ -167,17 +166,15 @@ class FittedDrive:
     @property
     def metrics(self) -> dict[str, Metrics]:
         """Errors of open-loop rollouts by part: `train`, `test`, and `baseline` (test part without friction)."""
-        rows, nan = cast(Mapping[str, Mapping[str, Any]], self.result["metrics"]), cast(Any, np.nan)
-        return {part: Metrics(**{k: nan if v is None else v for k, v in row.items()}) for part, row in rows.items()}
+        return {part: Metrics(**_without_none(row)) for part, row in self.result["metrics"].items()}
 
     @property
     def by_joint(self) -> dict[str, dict[str, JointErrors]]:
         """Errors of each joint by name, on the parts of `metrics`."""
-        nan, joints = cast(Any, np.nan), {}
-        for row in cast(list[dict[str, Any]], self.result["by_joint"]):
-            parts = {part: {k: nan if v is None else v for k, v in row[part].items()} for part in self.metrics}
-            joints[row["joint"]] = {part: JointErrors(**errors) for part, errors in parts.items()}
-        return joints
+        return {
+            row["joint"]: {part: JointErrors(**_without_none(row[part])) for part in ("train", "test", "baseline")}
+            for row in self.result["by_joint"]
+        }
 
     @property
     def timestep(self) -> float:
@@ -348,3 +345,8 @@ class FittedDrive:
     def _drive(self) -> Drive:
         with jax.enable_x64(True):
             return Drive.assemble(self.bench, self.model, "auto", self.sampling)
+
+
+def _without_none(row: Any) -> dict[str, Any]:
+    """Return a row of `result.json` with NaN for null."""
+    return {key: np.nan if value is None else value for key, value in row.items()}

@@ -34,16 +34,10 @@ def name_unidentifiable(parameters: Sequence[ParameterRow]) -> list[str]:
     return [name_where(p, identifiable=False) for p in parameters if p["identifiable"] is False]
 
 
-def reached_bounds(parameter: ParameterRow | ReferenceRow) -> tuple[float, float]:
-    """Return the widest bounds over the joints that ended at a bound, or over all joints if none did."""
-    rows = [row for row in parameter["by_joint"] if row["at_bound"]] or parameter["by_joint"]
-    return min(row["low"] for row in rows), max(row["high"] for row in rows)
-
-
 def say_bounds(parameter: ParameterRow | ReferenceRow) -> str:
-    """Format the bounds from `reached_bounds`."""
-    low, high = reached_bounds(parameter)
-    return f"[{low:g}, {high:g}]"
+    """Format the widest bounds over the joints that ended at a bound, or over all joints if none did."""
+    rows = [row for row in parameter["by_joint"] if row["at_bound"]] or parameter["by_joint"]
+    return f"[{min(row['low'] for row in rows):g}, {max(row['high'] for row in rows):g}]"
 
 
 def merge_known(rows: Sequence[ValueRow]) -> list[ValueRow]:

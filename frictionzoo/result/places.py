@@ -62,7 +62,7 @@ def time_since_reversal(signal: Signal, begins: Int[np.ndarray, "logs"], timeste
     return timestep * (np.arange(len(signal)) - np.maximum.accumulate(last))
 
 
-def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]:
+def _list_factors(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]:
     """Yield name and functions of each residual factor, the simplest first."""
     side, speed = np.sign(seen.qvel), np.abs(seen.qvel)
     share = speed / max(float(np.sqrt(np.mean(np.square(speed)))), 1e-300)
@@ -139,8 +139,8 @@ def find_ripple(
 
 
 def as_candidates(seen: Seen, decimate: Filter, rows: np.ndarray) -> dict[str, Candidate]:
-    """Return the functions of `list_places` in these rows as candidates, filtered like the error."""
-    candidates = {name: Candidate(decimate(columns)[rows]) for name, columns in list_places(seen)}
+    """Return the functions of all residual factors in these rows as candidates, filtered like the error."""
+    candidates = {name: Candidate(decimate(columns)[rows]) for name, columns in _list_factors(seen)}
     return {name: candidate for name, candidate in candidates.items() if np.any(candidate.columns)}
 
 

@@ -18,8 +18,10 @@ POINTS = 61  # points of a curve; odd, to include standstill
 BINS = 24  # groups of rows
 NEIGHBOURS = 100  # closest rows that represent a point
 FEWEST = 10  # fewest rows of a bin or a joint
-SPREAD = 0.1, 0.9  # quantiles of a bin's rows
+SPREAD = 0.1, 0.9  # quantiles of the rows of a bin, or of a velocity
 DRAWS = 100  # most drives of an interval
+_SAMPLED = 81  # velocities of a curve without recordings; odd, to include 0
+AROUND = 200  # recorded states of the closest velocity that represent a velocity
 
 _OVER = {"velocity": "speed", "load": "load", "position": "position", "temperature": "temperature"}
 """Quantities on the axis of a curve, with the dependency that the model needs for it."""
@@ -167,3 +169,36 @@ def _draw_law(
     with torch.no_grad():
         terms = torch.func.functional_call(law, changed, (states,))
         return torch.quantile(sides * sliding_torque(torch, terms, states.qvel), 0.5, dim=1).numpy()
+
+
+def sample_friction(
+    model: FrictionModel, samples: DriveState
+) -> tuple[
+    Float[np.ndarray, "points"],
+    Float[np.ndarray, "points nv"],
+    Float[np.ndarray, "points nv"],
+    Float[np.ndarray, "points nv"],
+]:
+    """Compute friction curves of a model: median, low and high quantile over states recorded near each velocity.
+
+    A model that depends on the velocity alone has no spread. Dry friction of MuJoCo has its sliding value.
+
+    Returns:
+        Velocities in both directions up to the highest recorded speed, dense around 0, and the three curves.
+    """
+    thinned = samples.map(lambda signal: signal[:: max(1, len(signal) // SAMPLES)])
+    fastest = float(np.abs(thinned.qvel).max()) or 1.0
+    velocity = _spread_out(np.array([-fastest, fastest]), _SAMPLED, along=True)
+    curves = np.stack([_torque_near(model, thinned, point) for point in velocity])
+    return velocity, curves[:, 0], curves[:, 1], curves[:, 2]
+
+
+def _torque_near(model: FrictionModel, samples: DriveState, velocity: float) -> Float[np.ndarray, "3 nv"]:
+    distance = np.abs(samples.qvel - velocity).max(axis=1)
+    nearest = np.argpartition(distance, min(AROUND, len(distance)) - 1)[:AROUND]
+    states = samples.map(lambda signal: torch.from_numpy(np.asarray(signal[nearest], np.float64)))
+    states = states._replace(qvel=torch.full_like(states.qvel, velocity))
+    with torch.no_grad():
+        torque = sliding_torque(torch, model(states), states.qvel)
+    low, high = (torch.quantile(torque, share, dim=0) for share in SPREAD)
+    return np.stack([torch.quantile(torque, 0.5, dim=0).numpy(), low.numpy(), high.numpy()])

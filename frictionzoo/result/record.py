@@ -12,8 +12,10 @@ from typing import Any, Final, Literal, cast
 
 import jsonschema
 import numpy as np
+from jaxtyping import Float
 
 from frictionzoo.bench.base import Bench
+from frictionzoo.bench.inertia import SYMBOLS, from_parameters, to_parameters
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.jobs import read_json, refuse_links, refuse_unfinished
 from frictionzoo.core.log import Dataset, Log, pool_origins
@@ -21,19 +23,16 @@ from frictionzoo.core.output import RESULT, to_json
 from frictionzoo.core.params import Param
 from frictionzoo.data.pairing import describe_columns
 from frictionzoo.fit.link_inertia import LinkInertia
-from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.fit.uncertainty import Covariance, Uncertainty
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.result import run_types, types
-from frictionzoo.result.covariance import describe_covariance
+from frictionzoo.result import types
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
-from frictionzoo.result.links import describe_links
 from frictionzoo.result.names import label_values
-from frictionzoo.result.residual_types import ResidualRow
+from frictionzoo.result.section_types import CommandRow, GravityRow, InertiaRow
 from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import explain_failure, judge
-from frictionzoo.result.verdict_types import CommandRow
 from frictionzoo.simulation.proof import Proof
 
 SCHEMA_VERSION: Final = 9
@@ -52,20 +51,11 @@ class Findings:
     Attributes:
         name: Name of the friction model, as in conf/model.
         values: Identified and known values of bench and model.
-        dataset: Training and test recordings.
         judgement: Errors of the identified drive.
         baseline: Errors of the same bench identified without friction, on the same rollouts.
         reference: Values of the bench identified without friction.
-        torque: Residual torque; None: no torque was compared.
-        links: Estimated link inertias; None: not estimated.
-        fit: Method and course of the fit.
-        timing: Duration of each stage [s].
         settings: All options of the run, including `seed` and `dtype`.
-        proof: Verification of the engine against MuJoCo C.
-        warnings: Reasons to doubt the result, one sentence each.
-        uncertainty: Intervals and identifiability of the parameters.
         recipe: Automatic settings and their values.
-        residual: Residual analysis; None: not done.
         commands: Suggested next commands.
     """
 
@@ -89,7 +79,7 @@ class Findings:
     device: str
     uncertainty: Uncertainty
     recipe: Sequence[types.ChoiceRow] = ()
-    residual: ResidualRow | None = None
+    residual: types.ResidualRow | None = None
     commands: Sequence[CommandRow] = ()
 
 
@@ -106,14 +96,14 @@ def build_result(found: Findings) -> types.Result:
         "model": found.name,
         "joints": list(bench.joints),
         "data": describe_data(found.dataset),
-        "columns": cast(list[run_types.ColumnsRow], describe_columns(found.dataset.logs, bench.joints)),
+        "columns": cast(list[types.ColumnsRow], describe_columns(found.dataset.logs, bench.joints)),
         "parameters": [
             *_list_parameters("bench", bench, bench.params, found.values["bench"], uncertainty),
             *_list_parameters("friction", bench, found.model.params, found.values["friction"], uncertainty),
         ],
         "indistinct": [list(group) for group in uncertainty.indistinct],
         "no_intervals": uncertainty.missing,
-        "covariance": describe_covariance(uncertainty.covariance, bench, found.model),
+        "covariance": _describe_covariance(uncertainty.covariance, bench, found.model),
         "network": {"weights": weights} if weights else None,
         "metrics": _describe_parts(found.judgement.train, found.judgement.test, found.baseline.test),
         "by_horizon": by_horizon,
@@ -124,7 +114,7 @@ def build_result(found: Findings) -> types.Result:
         "by_joint": _list_joints(bench.joints, found.judgement, found.baseline),
         "torque": found.torque,
         "residual": found.residual,
-        "links": None if found.links is None else describe_links(found.links),
+        "links": None if found.links is None else _describe_links(found.links),
         "reference": [
             _describe_value("bench", bench, name, param, found.reference[name], Uncertainty())
             for name, param in bench.params.items()
@@ -136,7 +126,7 @@ def build_result(found: Findings) -> types.Result:
         "seed": found.settings["seed"],
         "dtype": found.settings["dtype"],
         "engine": cast(types.Simulator, found.engine),
-        "proof": cast(run_types.ProofRow, asdict(found.proof)),
+        "proof": cast(types.ProofRow, asdict(found.proof)),
         "warnings": [*found.warnings],
         "notes": list(bench.notes),
         "device": found.device,
@@ -239,25 +229,18 @@ def _describe_log(log: Log, part: Literal["train", "test"]) -> types.LogRow:
 
 
 def _list_parameters(
-    owner: Literal["bench", "friction"],
-    bench: Bench,
-    params: Mapping[str, Param],
-    values: Mapping[str, np.ndarray],
-    uncertainty: Uncertainty,
+    owner: str, bench: Bench, params: Mapping[str, Param], values: Mapping[str, np.ndarray], uncertainty: Uncertainty
 ) -> list[types.ParameterRow]:
-    identifiable = uncertainty.identifiable
-    return [
-        cast(
-            types.ParameterRow,
-            {
-                **_describe_value(owner, bench, name, param, values[name], uncertainty),
-                "owner": owner,
-                "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
-                "identifiable": identifiable.get(f"{owner}.{name}"),
-            },
-        )
+    rows: Any = [
+        {
+            **_describe_value(owner, bench, name, param, values[name], uncertainty),
+            "owner": owner,
+            "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
+            "identifiable": uncertainty.identifiable.get(f"{owner}.{name}"),
+        }
         for name, param in params.items()
     ]
+    return rows
 
 
 def _describe_value(
@@ -275,6 +258,57 @@ def _describe_value(
         "at_bound": any(row["at_bound"] for row in by_joint),
         "by_joint": by_joint,
     }
+
+
+def _describe_covariance(
+    covariance: Covariance | None, bench: Bench, model: FrictionModel
+) -> types.CovarianceRow | None:
+    """Return the section `covariance`; None if no parameter has an interval."""
+    if covariance is None:
+        return None
+    params = {"bench": bench.params, "friction": model.params}
+    names = [label.partition("/")[0].split(".", 1) for label in covariance.labels]
+    return {
+        "labels": list(covariance.labels),
+        "scale": [params[owner][name].scale for owner, name in names],  # pyright: ignore[reportReturnType]
+        "centre": covariance.centre.tolist(),
+        "matrix": covariance.matrix.tolist(),
+        "freedom": covariance.freedom,
+    }
+
+
+def _describe_links(found: LinkInertia) -> types.LinksRow:
+    """Return the section `links`: estimated and model file inertias, and the combinations that the data determine."""
+    rows = zip(found.base.describe(), found.values, found.errors, found.determined, strict=True)
+    gravity: GravityRow | None = found.tilt and {
+        "found": found.tilt.gravity.tolist(),
+        "maker": found.tilt.maker.tolist(),
+        "angle": found.tilt.angle,
+        "error": float(found.tilt.errors.max()),
+    }
+    return {
+        "links": [
+            {
+                "body": body,
+                "found": _describe_inertia(new),
+                "maker": _describe_inertia(old),
+                "prior_only": [symbol for symbol in SYMBOLS if f"{symbol} {body}" in found.prior_only],
+            }
+            for body, old, new in zip(found.bodies, found.maker, found.found, strict=True)
+        ],
+        "gravity": gravity,
+        "determined": int(found.determined.sum()),
+        "base": [
+            {"combination": text, "value": float(value), "error": float(error), "determined": bool(determined)}
+            for text, value, error, determined in rows
+        ],
+    }
+
+
+def _describe_inertia(parameters: Float[np.ndarray, "10"]) -> InertiaRow:
+    mass, centre, inertia = from_parameters(parameters)
+    about_centre = to_parameters(mass, np.zeros(3), inertia)[4:]
+    return {"mass": mass, "centre": centre.tolist(), "inertia": about_centre.tolist()}
 
 
 def _list_joints(joints: Sequence[str], judged: Judgement, without: Judgement) -> list[types.JointRow]:
@@ -310,9 +344,9 @@ def _contrast(model: Metrics, baseline: Metrics) -> types.ContrastRow:
     return cast(types.ContrastRow, {"model": asdict(model), "baseline": asdict(baseline)})
 
 
-def _read_versions() -> run_types.Versions:
+def _read_versions() -> types.Versions:
     versions = {"python": platform.python_version(), **dict.fromkeys(PACKAGES, "not installed")}
     for package in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
-    return cast(run_types.Versions, versions)
+    return cast(types.Versions, versions)

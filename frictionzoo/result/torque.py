@@ -16,7 +16,7 @@ from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.motion import Filtering, Recordings
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import TorchFriction
-from frictionzoo.result import torque_types as types
+from frictionzoo.result import section_types as types
 
 AS_THE_FIT: Mapping[str, Any] = {"bandwidth": None, "held": None}
 """Options that compare torque as the fit does."""

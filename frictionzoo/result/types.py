@@ -23,10 +23,19 @@ from frictionzoo.result.kinds import (
     Text,
     WhereThere,
 )
-from frictionzoo.result.residual_types import ResidualRow
-from frictionzoo.result.run_types import ChoiceRow, ColumnsRow, FitRow, ProofRow, TimingRow, Versions, WrittenRow
-from frictionzoo.result.torque_types import LinksRow, TorqueRow
-from frictionzoo.result.verdict_types import VerdictRow
+from frictionzoo.result.section_types import (
+    ChoiceRow,
+    ColumnsRow,
+    FitRow,
+    LinksRow,
+    ProofRow,
+    ResidualRow,
+    TimingRow,
+    TorqueRow,
+    VerdictRow,
+    Versions,
+    WrittenRow,
+)
 
 
 class LogRow(TypedDict):

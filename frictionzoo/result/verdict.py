@@ -1,19 +1,15 @@
 """Verdict on a result: findings, causes first, a grade and next commands, for terminal, page and `result.json`."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import cast
 
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import say_percent
+from frictionzoo.result import section_types as types
 from frictionzoo.result.names import name_some, name_unidentifiable, name_where, say_bounds
-from frictionzoo.result.residual_types import JointResidualRow, PlaceRow, ResidualRow
-from frictionzoo.result.run_types import FitRow
-from frictionzoo.result.torque_types import TorqueErrorsRow, TorqueRow
 from frictionzoo.result.types import MetricsRow, ParameterRow, ReferenceRow, Result
-from frictionzoo.result.verdict_types import CommandRow, FindingRow, VerdictRow
 
 DO_NOT_USE = "do not use it"
 """Grade of a result that must not be used."""
@@ -29,15 +25,13 @@ BOUNDS = 2  # identified parameters at bounds from which on a fit may have faile
 LITTLE = 1 / 3  # of the test error without friction; a good model leaves less
 NOTHING = 2 / 3  # of the same error; a model that leaves more explains almost nothing
 _SIZES = {UNITS[joint][of] for joint in UNITS for of in ("torque", "damping")}
-LATE = 0.1  # share of the iterations at the end in which a parameter must not move
-MOVING = 1 / 3  # of half its interval; larger moves are reported
-MOVING_BLINDLY = 0.01  # of its value, if it has no interval
 FALLING = 0.01  # largest relative decrease of the loss in the last tenth of the iterations
 OVERFIT = 1.5  # ratio of test to train error above which it is reported
 ENOUGH = 100  # samples per parameter that prevent overfitting
 UNEXPLAINED = 0.05  # largest residual torque beyond noise, as a share of the friction
 CONTRADICTED = 0.5  # largest residual of a usable result, as a share of friction or recorded torque
 DOUBTED = 0.2  # share of recorded torque above which the residual is reported
+FAR = 0.1  # share of the drive's error; larger differences of a model file are marked
 ALIKE = 0.5  # correlation of neighbours above which the residual is not noise
 PLACES = {
     "constant": "a constant torque",
@@ -61,17 +55,17 @@ CAUSES = ("identification", "recordings", "residual", "torque")
 _MORE = "raise fit.iterations"
 
 
-def judge(result: Result, commands: Sequence[CommandRow] = ()) -> VerdictRow:
+def judge(result: Result, commands: Sequence[types.CommandRow] = ()) -> types.VerdictRow:
     """Return the verdict on a record, ignoring its `verdict`; `commands` are suggested in `VerdictRow`'s order."""
     ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
-    findings = sorted(find_doubts(result), key=lambda row: (ranks.get(row["kind"], len(ranks)), not row["severe"]))
+    findings = sorted(_find_doubts(result), key=lambda row: (ranks.get(row["kind"], len(ranks)), not row["severe"]))
     severe = any(finding["severe"] for finding in findings)
     grade = DO_NOT_USE if severe else "use it with care" if findings else "nothing speaks against it"
     allowed = _allow(commands, grade, identified=not result["not_identified"])
-    return cast(VerdictRow, {"grade": grade, "findings": findings, "commands": allowed})
+    return cast(types.VerdictRow, {"grade": grade, "findings": findings, "commands": allowed})
 
 
-def _allow(commands: Sequence[CommandRow], grade: str, identified: bool) -> list[CommandRow]:
+def _allow(commands: Sequence[types.CommandRow], grade: str, identified: bool) -> list[types.CommandRow]:
     """Return the commands that are safe to suggest: wrong values belong neither on hardware nor in exports."""
     kinds = {row["kind"] for row in commands}
     left_out: set[str] = {"recording"} if "repair" in kinds else set()
@@ -87,17 +81,17 @@ def is_usable(result: Result) -> bool:
     return result["verdict"]["grade"] != DO_NOT_USE
 
 
-def say_purposes(commands: Sequence[CommandRow]) -> str:
+def say_purposes(commands: Sequence[types.CommandRow]) -> str:
     """Return the purposes of suggested commands."""
     return ", ".join(PURPOSES[row["kind"]] for row in commands)
 
 
-def say_finding(finding: FindingRow) -> str:
+def say_finding(finding: types.FindingRow) -> str:
     """Return a finding with its remedy in one sentence."""
     return finding["text"] + (f"; {finding['mend']}" if finding["mend"] else "")
 
 
-def find_doubts(result: Result) -> Iterator[FindingRow]:
+def _find_doubts(result: Result) -> Iterator[types.FindingRow]:
     """Yield all findings of a result, in the order of the checks."""
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
@@ -110,7 +104,7 @@ def find_doubts(result: Result) -> Iterator[FindingRow]:
         yield from _doubt_residual(result["residual"])
     if result["torque"]:
         yield from _doubt_torque(result["torque"])
-    yield from _doubt_errors(result)
+    yield from doubt_errors(result)
     if doubt := doubt_joints(result):
         yield _find("joints", doubt)
     if (doubt := doubt_reference(result["reference"])) and not _is_explained(result["residual"]):
@@ -126,22 +120,31 @@ def find_doubts(result: Result) -> Iterator[FindingRow]:
     yield from _doubt_stability(result)
 
 
-def _find(kind: str, text: str, mend: str | None = None, severe: bool = False, law: str | None = None) -> FindingRow:
-    return cast(FindingRow, {"kind": kind, "severe": severe, "text": text, "mend": mend, "law": law})
+def _find(
+    kind: str, text: str, mend: str | None = None, severe: bool = False, law: str | None = None
+) -> types.FindingRow:
+    return cast(types.FindingRow, {"kind": kind, "severe": severe, "text": text, "mend": mend, "law": law})
 
 
-def _doubt_errors(result: Result) -> Iterator[FindingRow]:
+def doubt_errors(result: Result) -> Iterator[types.FindingRow]:
+    """Yield the finding on a test error that is missing, or hardly below the one without friction."""
     test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if test is None:
         yield _find("gain", "no test error: every test rollout diverged", severe=True)
-    elif result["model"] != "baseline" and baseline and test >= baseline:
+    elif result["model"] == "baseline" or not baseline or test <= NOTHING * baseline:
+        return
+    elif test >= baseline:
         text = "on test data the model is no better than a drive without friction"
         yield _find("gain", text, "do not use its friction", severe=True)
-    elif doubt := doubt_gain(result):
-        yield _find("gain", doubt)
+    else:
+        yield _find(
+            "gain",
+            f"on test data the position error is {100 * test / baseline:.0f} % of the error without friction: the "
+            "model explains almost nothing, or recordings or bench are wrong",
+        )
 
 
-def _doubt_train(result: Result) -> Iterator[FindingRow]:
+def _doubt_train(result: Result) -> Iterator[types.FindingRow]:
     train, test = (result["metrics"][part]["position_mae"] for part in ("train", "test"))
     if train is None or test is None or train == 0:
         yield _find("train", "test and training error cannot be compared: one is missing")
@@ -154,7 +157,7 @@ def _doubt_train(result: Result) -> Iterator[FindingRow]:
         yield _find("train", text, f"the fit may be overfitted, or {remedy}" if ENOUGH * free > samples else remedy)
 
 
-def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
+def _doubt_fit(fit: types.FitRow) -> Iterator[types.FindingRow]:
     if fit["stopped"] == "diverged":
         text = f"the fit diverged after {fit['iterations']} iterations"
         yield _find("fit", text, "lower the step size or start from other values", severe=True)
@@ -168,7 +171,7 @@ def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
         yield _find("fit", f"still moving at the end of the fit: {', '.join(fit['moving'])}", _MORE)
 
 
-def _doubt_parameters(result: Result) -> Iterator[FindingRow]:
+def _doubt_parameters(result: Result) -> Iterator[types.FindingRow]:
     if doubtful := name_unidentifiable(result["parameters"]):
         text = f"not identifiable from these data: {', '.join(doubtful)}"
         yield _find("identifiability", text, "do not interpret these values")
@@ -186,7 +189,7 @@ def list_rollouts(result: Result) -> list[tuple[str, MetricsRow]]:
     return judged + [(names[part], result["paper"]["a"][part]) for part in ("model", "baseline")]
 
 
-def _doubt_stability(result: Result) -> Iterator[FindingRow]:
+def _doubt_stability(result: Result) -> Iterator[types.FindingRow]:
     diverged = [(name, metrics) for name, metrics in list_rollouts(result) if metrics["diverged"]]
     if diverged:
         counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in diverged]
@@ -194,15 +197,15 @@ def _doubt_stability(result: Result) -> Iterator[FindingRow]:
         yield _find("stability", f"diverged and excluded from the errors: {'; '.join(counts)}", severe=severe)
 
 
-def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
+def _doubt_residual(residual: types.ResidualRow) -> Iterator[types.FindingRow]:
     """Yield the residual factors, and unexplained residual torque beyond noise."""
     rows, unit = residual["by_joint"], residual["unit"]
-    factors: dict[tuple[str, str | None], list[tuple[JointResidualRow, PlaceRow]]] = {}
+    factors: dict[tuple[str, str | None], list[tuple[types.JointResidualRow, types.PlaceRow]]] = {}
     for row in rows:
         for place in row["places"]:
             factors.setdefault((place["place"], place["law"]), []).append((row, place))
     for (place, law), pairs in sorted(
-        factors.items(), key=lambda item: -max(p["torque"] / r["friction"] for r, p in item[1])
+        factors.items(), key=lambda item: -max(_share_of_friction(place["torque"], row) for row, place in item[1])
     ):
         severe = any(pair["torque"] > CONTRADICTED * row["friction"] for row, pair in pairs)
         yield _find("residual", _say_place(place, pairs, unit, len(rows)), _say_law(pairs[0][1]), severe, law)
@@ -219,18 +222,22 @@ def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
             )
 
 
-def _unexplained(row: JointResidualRow) -> float:
+def _unexplained(row: types.JointResidualRow) -> float:
     """Return the RMS residual torque beyond noise, as a share of the friction."""
-    return float(np.sqrt(max(row["residual"] ** 2 - row["noise"] ** 2, 0.0))) / row["friction"]
+    return _share_of_friction(float(np.sqrt(max(row["residual"] ** 2 - row["noise"] ** 2, 0.0))), row)
 
 
-def _is_explained(residual: ResidualRow | None) -> bool:
+def _share_of_friction(torque: float, row: types.JointResidualRow) -> float:
+    return torque / max(row["friction"], 1e-300)
+
+
+def _is_explained(residual: types.ResidualRow | None) -> bool:
     """Return whether the residual torque of every joint is noise."""
     rows = residual["by_joint"] if residual else []
     return bool(rows) and all(_unexplained(row) < UNEXPLAINED and not row["places"] for row in rows)
 
 
-def _doubt_torque(torque: TorqueRow) -> Iterator[FindingRow]:
+def _doubt_torque(torque: types.TorqueRow) -> Iterator[types.FindingRow]:
     if torque["compared"] != "torque":
         return
     shares = {row["joint"]: _share(row["test"]) for row in torque["by_joint"]}
@@ -247,17 +254,21 @@ def _doubt_torque(torque: TorqueRow) -> Iterator[FindingRow]:
         )
 
 
-def _share(errors: TorqueErrorsRow) -> float:
+def _share(errors: types.TorqueErrorsRow) -> float:
     residual, torque = errors["residual"], errors["torque"]
     return residual / torque if residual is not None and torque else 0.0
 
 
-def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], unit: str, joints: int) -> str:
+def _say_place(
+    place: str, found: Sequence[tuple[types.JointResidualRow, types.PlaceRow]], unit: str, joints: int
+) -> str:
     """Describe a residual factor, with its size in the joint in which it is largest."""
-    row, factor = max(found, key=lambda pair: pair[1]["torque"] / pair[0]["friction"])
+    row, factor = max(found, key=lambda pair: _share_of_friction(pair[1]["torque"], pair[0]))
     where = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
-    ripple = "" if factor["periods"] is None else f" ({_say_periods(factor['periods'], unit)})"
-    size = f"{factor['torque']:.2g} {unit}, {say_percent(factor['torque'] / row['friction'])} of the friction"
+    ripple = ""
+    if (periods := factor["periods"]) is not None:  # the torque's unit tells hinge from slide
+        ripple = f" ({periods:.4g} periods per turn)" if unit == "N m" else f" (period {2 * np.pi / periods:.3g} m)"
+    size = f"{factor['torque']:.2g} {unit}, {say_percent(_share_of_friction(factor['torque'], row))} of the friction"
     up_to = "up to " if len(found) > 1 else ""
     return (
         f"the residual torque{where} is not noise: {PLACES[place]}{ripple} explains {up_to}"
@@ -265,12 +276,7 @@ def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], u
     )
 
 
-def _say_periods(periods: float, unit: str) -> str:
-    """Format the periods of a ripple; the torque's unit tells hinge from slide."""
-    return f"{periods:.4g} periods per turn" if unit == "N m" else f"period {2 * np.pi / periods:.3g} m"
-
-
-def _say_law(place: PlaceRow) -> str:
+def _say_law(place: types.PlaceRow) -> str:
     """Return the remedy for a residual factor: a parameter of the bench, a check, or a model."""
     value = place["value"]
     if place["place"] == "constant":
@@ -307,7 +313,7 @@ def explain_failure(result: Result) -> list[str] | None:
     friction: the model then compensates another error with unrealistic values. A friction term at the lower bound of
     its size does not count: a drive may lack dry friction.
     """
-    ended = [name_where(p, at_bound=True) for p in result["parameters"] if p["at_bound"] and not _is_absent(p)]
+    ended = [p for p in result["parameters"] if p["at_bound"] and not (_is_size(p) and not _ended_high(p))]
     error, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     gained_little = error is None or (baseline is not None and error > LITTLE * baseline)
     if len(ended) < BOUNDS or not gained_little:
@@ -317,18 +323,14 @@ def explain_failure(result: Result) -> list[str] | None:
         if error is None or not baseline
         else f"is {100 * error / baseline:.0f} % of the error without friction"
     )
+    names = " and ".join(name_where(p, at_bound=True) for p in ended)
     return [
-        f"{' and '.join(ended)} ended at their bounds, and the test error {share}",
+        f"{names} ended at their bounds, and the test error {share}",
         *result["warnings"],
         "known values are wrong: the actuator's gains, inertia and gravity in the MJCF, or the recordings' units",
         "commands act with a delay: identify bench.params.delay",
         "the recordings do not excite the drive, or the bounds do not suit it",
     ]
-
-
-def _is_absent(parameter: ParameterRow) -> bool:
-    """Return whether the parameter is the size of a friction term (torque or damping) that the fit did not find."""
-    return _is_size(parameter) and not _ended_high(parameter)
 
 
 def _is_cut_off(parameter: ParameterRow) -> bool:
@@ -349,17 +351,6 @@ def _ended_high(parameter: ParameterRow) -> bool:
     return any(row["value"] - row["low"] >= row["high"] - row["value"] for row in ended)
 
 
-def doubt_gain(result: Result) -> str | None:
-    """Report that a model explains almost none of the error without friction; None if it explains more."""
-    error, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
-    if result["model"] == "baseline" or error is None or not baseline or error <= NOTHING * baseline:
-        return None
-    return (
-        f"on test data the position error is {100 * error / baseline:.0f} % of the error without friction: the model "
-        "explains almost nothing, or recordings or bench are wrong"
-    )
-
-
 def doubt_joints(result: Result) -> str | None:
     """Report joints that the model does not improve on test data; None if it improves all, or for a single joint."""
     joints = result["by_joint"]
@@ -376,34 +367,6 @@ def doubt_joints(result: Result) -> str | None:
         f"on test data {len(worse)} of {len(joints)} joints {'is' if len(worse) == 1 else 'are'} no better than "
         f"without friction: {name_some(worse)}"
     )
-
-
-def list_moving(
-    history: Mapping[str, Float[np.ndarray, "iterations"]], intervals: Mapping[str, Float[np.ndarray, "2"]]
-) -> list[str]:
-    """List the parameters that still moved when the fit ended.
-
-    A parameter moves if its means over the two halves of the last tenth of the iterations differ by more than a third
-    of half its 95 % interval, or by more than 1 % of its value if it has no interval. Labels are `bench.armature`, or
-    `bench.armature/knee` with several joints.
-    """
-    moving = []
-    for name, values in history.items():
-        half = int(LATE * len(values)) // 2
-        if not half:
-            continue
-        before, last = values[-2 * half : -half].mean(), values[-half:].mean()
-        width = MOVING * np.ptp(intervals.get(name, np.full(2, np.nan))) / 2
-        if abs(last - before) > (width if np.isfinite(width) else MOVING_BLINDLY * abs(last)):
-            moving.append(name)
-    return moving
-
-
-def still_falling(loss: Float[np.ndarray, "iterations"]) -> float:
-    """Return the relative decrease of the lowest loss in the last tenth of the iterations."""
-    finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
-    before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
-    return max(0.0, 1 - float(finite.min() / before)) if np.isfinite(before) and before > 0 else 0.0
 
 
 def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:

@@ -83,10 +83,10 @@ def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
 def _rank(run: Run) -> tuple[int, float, int]:
     test = run.result["metrics"]["test"]
     error = np.inf if test["position_mae"] is None else test["position_mae"]
-    return test["diverged"], error, count_identified(run.result)
+    return test["diverged"], error, _count_identified(run.result)
 
 
-def count_identified(result: Result) -> int:
+def _count_identified(result: Result) -> int:
     """Return the number of identified values and network weights."""
     values = [value["identified"] for p in result["parameters"] for value in p["by_joint"]]
     network = result["network"]
@@ -108,29 +108,25 @@ def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference
     if best.result["metrics"]["test"]["position_mae"] is None:
         return None
     close = [best, *(run for run in ranked[1:] if pairs[run.label, best.label].verdict == "noise")]
-    chosen = min(close, key=lambda run: (count_identified(run.result), _rank(run)))
+    chosen = min(close, key=lambda run: (_count_identified(run.result), _rank(run)))
+    labelled = [pair for parameter in chosen.result["parameters"] for pair in label_values(parameter).items()]
     return {
         "run": chosen.label,
         "best": best.label,
-        "unidentifiable": _list_unidentifiable(chosen),
+        "unidentifiable": [label for label, row in labelled if row["identifiable"] is False],
         "not_identified": chosen.result["not_identified"],
         "reason": _explain(chosen, best, close, pairs),
     }
 
 
-def _list_unidentifiable(run: Run) -> list[str]:
-    labelled = (label_values(parameter) for parameter in run.result["parameters"])
-    return [label for values in labelled for label, row in values.items() if row["identifiable"] is False]
-
-
 def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
     test = chosen.result["metrics"]["test"]
     unit, rollouts = test["unit"], test["rollouts"]
-    values = count_identified(chosen.result)
+    values = _count_identified(chosen.result)
     error = f"Test MAE {test['position_mae']:.3g} {unit} with {values} identified value{'s' * (values != 1)}"
     if chosen is not best:
         pair = pairs[chosen.label, best.label]
-        lowest, count = best.result["metrics"]["test"]["position_mae"], count_identified(best.result)
+        lowest, count = best.result["metrics"]["test"]["position_mae"], _count_identified(best.result)
         text = (
             f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {count}, is within noise of it "
             f"(difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over {rollouts} "
@@ -171,7 +167,7 @@ def _describe(run: Run, reference: Run | None) -> rows.RunRow:
         "label": run.label,
         "run": run.folder.name,
         "model": result["model"],
-        "identified": count_identified(run.result),
+        "identified": _count_identified(run.result),
         "train": result["metrics"]["train"],
         "test": result["metrics"]["test"],
         "by_joint": result["by_joint"],

@@ -3,7 +3,7 @@
 from typing import Annotated, Any, Literal, TypedDict
 
 from frictionzoo.result.kinds import Count, Joints, Natural, NotNegative, Number, Positive, Sha256, Simulator, Text
-from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.section_types import TorqueRow
 from frictionzoo.result.types import DataRow, FitRow, JointRow, MetricsRow, NetworkRow, ParameterRow, TimingRow
 
 Numbers = list[float | None]
