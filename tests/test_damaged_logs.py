@@ -23,9 +23,10 @@ from write_logs import OPTIONS, STORE, WRITERS, command, signals, write_bag, wri
 
 from frictionzoo.core.errors import FrictionzooError, LogError
 from frictionzoo.data.clean import Cleaning, clean
-from frictionzoo.data.columns import propose, to_recording
+from frictionzoo.data.columns import to_recording
 from frictionzoo.data.formats import base, read_tables
 from frictionzoo.data.formats.ros import _unpack
+from frictionzoo.data.propose import propose
 from frictionzoo.data.recording import Table
 
 NAMES = sorted(WRITERS)

@@ -16,10 +16,10 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.twin import Twin
 from frictionzoo.diagnostics import check_up, find_all
 from frictionzoo.diagnostics.commands import takes_energy
+from frictionzoo.diagnostics.dataset import check_motion
 from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.diagnostics.following import Followed, check_following
 from frictionzoo.diagnostics.lags import compare
-from frictionzoo.diagnostics.motion import check_motion
 from frictionzoo.identification.solve import list_moving
 from frictionzoo.result.verdict import doubt_errors, doubt_reference, explain_failure
 
@@ -252,8 +252,8 @@ def test_a_joint_that_others_move_may_brake_them(recorded: tuple[Log, Bench], le
         -0.1,
     )
     told = {bench.nv: list(check_following(both, "", bench, 0, joint, False, None)) for bench in (alone, of)}
-    assert [(kind, certain) for kind, certain, _ in told[1]] == [("ignored", True)]
-    assert [(kind, certain) for kind, certain, _ in told[2]] == [("ignored", False)]
+    assert [(fault.kind, fault.certain) for fault in told[1]] == [("ignored", True)]
+    assert [(fault.kind, fault.certain) for fault in told[2]] == [("ignored", False)]
 
 
 @needs_data

@@ -13,7 +13,7 @@ import torch
 import frictionzoo as fz
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.diagnostics.motion import check_motion
+from frictionzoo.diagnostics.dataset import check_motion
 from frictionzoo.models.mujoco_default import MujocoDefault
 
 LEG = """<body name="{0}_hip" pos="0 {1} 0"><joint name="{0}_hip_joint" class="leg" axis="1 0 0" range="-1 1"/>

@@ -4,6 +4,7 @@
 """
 
 import contextlib
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -106,8 +107,12 @@ class Cleaning(Described):
         check_filter("data.clean", self.cutoff, self.order)
         if not self.shortest >= 0:
             raise ConfigError(f"data.clean.shortest={self.shortest}: expected a time in s from 0 on")
-        if isinstance(self.velocity_lag, str) and self.velocity_lag != "auto":
-            raise ConfigError(f"data.clean.velocity_lag={self.velocity_lag}: expected a time in s, auto or null")
+        for option, words in (("velocity_lag", "auto or null"), ("command_lag", "or null")):
+            lag = getattr(self, option)
+            if lag is None or (lag == "auto" and "auto" in words):
+                continue
+            if isinstance(lag, str) or not math.isfinite(lag):
+                raise ConfigError(f"data.clean.{option}={lag}: expected a time in s, {words}")
 
 
 Signals = Mapping[str, Float[np.ndarray, "time columns"]]
@@ -149,7 +154,10 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
     stretch = _drop_velocity(_unwrap(stretch, cleaning.wrap), recording.name, cleaning)
     if cleaning.spikes == "drop" and any(map(count_spikes, stretch.signals["qpos"].T)):
         return []
-    pieces = _split(stretch, cleaning.gap)
+    gap = cleaning.gap
+    sentence = f"split where time jumps by over {gap:g} intervals or goes back"
+    parts = _split_at(stretch, find_breaks(stretch.time, gap), sentence)
+    pieces = [piece for part in parts for piece in _split_at_nan(part, gap)]
     kept = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
     if len(kept) < len(pieces):
         count = len(pieces) - len(kept)
@@ -168,8 +176,13 @@ def summarise_repairs(logs: Sequence[Log]) -> list[str]:
 def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -> Log:
     piece = _fill_nan(piece)
     piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
-    piece = _shift_velocity(piece, name, cleaning)
-    piece = _shift_commands(piece, name, cleaning)
+    lag = cleaning.velocity_lag
+    if lag is not None and cleaning.velocity != "estimated" and "qvel" in piece.signals:
+        lag = _find_lag(piece, name) if isinstance(lag, str) else float(lag)
+        piece = _shift(piece, name, "velocity_lag", ["qvel"], lag, cleaning.resample)
+    if cleaning.command_lag is not None:
+        commands = [signal for signal in COMMANDS if signal in piece.signals]
+        piece = _shift(piece, name, "command_lag", commands, float(cleaning.command_lag), "held")
     piece = _resample(piece, name, cleaning)
     piece = _choose_velocity(piece, name, cleaning)
     if piece.time[0] != 0:
@@ -241,16 +254,8 @@ def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     signals = {**piece.signals, "qvel": qvel}
     if len(dead) == qvel.shape[1]:
         del signals["qvel"]
-    return (
-        replace(piece, signals=signals, without_velocity=tuple(dead)).say("; ".join(dead.values())) if dead else piece
-    )
-
-
-def _split(piece: Piece, gap: float) -> list[Piece]:
-    pieces = _split_at(
-        piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or goes back"
-    )
-    return [part for stretch in pieces for part in _split_at_nan(stretch, gap)]
+    changed = replace(piece, signals=signals, without_velocity=tuple(dead))
+    return changed.say("; ".join(dead.values())) if dead else piece
 
 
 def _split_at(piece: Piece, breaks: Sequence[int] | np.ndarray, sentence: str) -> list[Piece]:
@@ -304,32 +309,16 @@ def _repair_spikes(piece: Piece) -> Piece:
     return replace(piece, signals=repaired).say(*sentences) if sentences else piece
 
 
-def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    """Shift the measured velocity earlier by its lag, and cut the end that has no samples."""
-    if cleaning.velocity_lag is None or cleaning.velocity == "estimated" or "qvel" not in piece.signals:
-        return piece
-    lag = _find_lag(piece, name) if isinstance(cleaning.velocity_lag, str) else float(cleaning.velocity_lag)
+def _shift(piece: Piece, name: str, option: str, signals: Sequence[str], lag: float, method: str) -> Piece:
+    """Shift signals earlier by the lag [s] from an option, and cut the end that has no samples."""
     later = piece.time + lag
     kept = (later >= piece.time[0]) & (later <= piece.time[-1])
     if kept.sum() < 2:
-        raise LogError(f"{name}: shorter than data.clean.velocity_lag={lag:g} s; set a smaller one")
-    shifted = _each(_sample, piece.signals["qvel"], piece.time, later[kept], cleaning.resample)
+        raise LogError(f"{name}: shorter than data.clean.{option}={lag:g} s; set a smaller one")
+    shifted = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], method) for signal in signals}
     cut = piece.keep(kept)
-    sentence = f"qvel shifted {lag:.4g} s earlier, {cleaning.resample} between samples"
-    return replace(cut, signals={**cut.signals, "qvel": shifted}).say(sentence)
-
-
-def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    if cleaning.command_lag is None:
-        return piece
-    later = piece.time + cleaning.command_lag
-    kept = (later >= piece.time[0]) & (later <= piece.time[-1])
-    if kept.sum() < 2:
-        raise LogError(f"{name}: shorter than data.clean.command_lag={cleaning.command_lag:g} s; set a smaller one")
-    commands = [signal for signal in COMMANDS if signal in piece.signals]
-    cut = piece.keep(kept)
-    shifted = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], "held") for signal in commands}
-    sentence = f"{', '.join(commands)} shifted {cleaning.command_lag:.4g} s earlier"
+    between = "" if method == "held" else f", {method} between samples"
+    sentence = f"{', '.join(signals)} shifted {lag:.4g} s earlier{between}"
     return replace(cut, signals={**cut.signals, **shifted}).say(sentence)
 
 

@@ -8,11 +8,9 @@ from jaxtyping import Float, Real
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Columns
-from frictionzoo.data.propose import BAM, Proposal, propose
+from frictionzoo.data.propose import BAM, propose
 from frictionzoo.data.recording import HELD, SIGNALS, Recording, Table
 from frictionzoo.data.units import ratio, to_si
-
-__all__ = ["Proposal", "list_names", "pick", "propose", "to_recording"]
 
 NEEDED = ("time", "qpos", "ctrl")
 LARGEST = 1e9  # largest plausible value of any signal; damaged numbers usually exceed it

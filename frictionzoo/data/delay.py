@@ -95,8 +95,13 @@ def estimate_delay(recordings: Sequence[Recording], joint: int = 0) -> Delay | N
     if not np.isfinite(correlations).any():
         return None
     command = "position" if np.nanmedian(correlations) > FOLLOWS else "torque"
-    estimate = _delays_of_position if command == "position" else _delays_of_torque
-    delays = estimate(usable, joint)
+    if command == "position":
+        windows = _choose_windows(usable, joint)
+        delays, errors = _fit(windows) if windows else np.zeros((2, 0))
+        delays = np.where(errors < FIT, delays, np.nan)
+    else:
+        chosen = np.unique(np.linspace(0, len(usable) - 1, RECORDINGS).astype(int))
+        delays = np.array([_regress(usable[i], joint) for i in chosen])
     identified = delays[(delays > EARLIEST + MARGIN) & (delays < LATEST - MARGIN)]
     if len(identified) < max(1, 0.5 * len(delays)):
         return None
@@ -111,12 +116,6 @@ def _correlate(recording: Recording, joint: int) -> float:
     pair = np.stack([recording.signals[name][:, joint] for name in ("ctrl", "qpos")])
     pair = pair[:, np.isfinite(pair).all(axis=0)]
     return float(np.corrcoef(pair)[0, 1]) if pair.shape[1] > 2 and (np.ptp(pair, axis=1) > 0).all() else np.nan
-
-
-def _delays_of_torque(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "recordings"]:
-    """Estimate the delay of each recording under a torque command [s]; NaN if not identifiable."""
-    chosen = np.unique(np.linspace(0, len(recordings) - 1, RECORDINGS).astype(int))
-    return np.array([_regress(recordings[i], joint) for i in chosen])
 
 
 def _regress(recording: Recording, joint: int) -> float:
@@ -147,13 +146,6 @@ def _unexplained(acceleration: Signal, command: Signal, others: Float[np.ndarray
     terms = np.column_stack([command, others])
     factors = np.linalg.lstsq(terms, acceleration, rcond=None)[0]
     return float(np.mean((acceleration - terms @ factors) ** 2) / max(acceleration.var(), 1e-300))
-
-
-def _delays_of_position(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "groups"]:
-    """Estimate each group's delay under a position command [s]; NaN if the simple drive does not fit."""
-    windows = _choose_windows(recordings, joint)
-    delays, errors = _fit(windows) if windows else np.zeros((2, 0))
-    return np.where(errors < FIT, delays, np.nan)
 
 
 def _choose_windows(recordings: Sequence[Recording], joint: int) -> Windows | None:

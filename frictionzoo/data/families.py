@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.data.pairing import Named, find_name, pair
+from frictionzoo.data.pairing import Named, find_name, pair_signal
 from frictionzoo.data.recording import SIGNALS, Table
 from frictionzoo.data.words import MEASURED, POSITION, TORQUE, find_signal, list_words, split
 
@@ -59,12 +59,7 @@ def _choose(
     if len(complete) == 1:
         return complete[0]
     all_headers = sorted((header for headers in found.values() for header in headers), key=list(table.columns).index)
-    try:
-        pair(all_headers, joints)
-    except LogError as error:
-        option = f"data.columns.{signal}"
-        needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
-        raise LogError(f"{table.name}: {signal} {error}; set {option} to the columns{needed}") from None
+    pair_signal(table.name, signal, all_headers, joints)
     return all_headers
 
 
@@ -81,7 +76,11 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
         if header not in table.times.values() and (role := find_signal(words)):
             signal, rank = role
             families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
-    families = {signal: _prefer_named(found, names) for signal, found in families.items()}
+    # Families without joint names belong to other joints.
+    families = {
+        signal: {key: headers for key, headers in found.items() if headers[0] in names} or found
+        for signal, found in families.items()
+    }
     efforts = families.pop("effort", {})
     families |= {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in ("kp", "kd")}
     if "ctrl" not in families:  # a drive with a velocity or torque command, or a torque as the only input
@@ -90,11 +89,6 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
     usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
     usable["torque"] = _keep_usable(table, "torque", _pick_torque(efforts))
     return {**families, "ctrl": _prefer_moving(table, families["ctrl"]), **usable}
-
-
-def _prefer_named(found: Families, names: Mapping[str, Named]) -> Families:
-    """Return the families with joint names, or all if there are none: the others belong to other joints."""
-    return {key: headers for key, headers in found.items() if headers[0] in names} or found
 
 
 def _prefer_moving(table: Table, found: Families) -> Families:
@@ -114,12 +108,11 @@ def _keep_usable(table: Table, signal: str, found: Families) -> Families:
 
 def is_usable(table: Table, signal: str, headers: Sequence[str]) -> bool:
     """Return whether an optional signal has samples; a torque must be complete, or cleaning would drop samples."""
-    finite = [np.isfinite(table.columns[header]) for header in headers]
     if signal not in BESIDE:
         return True
+    finite = [np.isfinite(table.columns[header]) for header in headers]
     # A single value is not a sampled gain.
-    sampled = all(len(is_finite) > 1 for is_finite in finite)
-    return sampled and all(is_finite.all() if signal == "torque" else is_finite.any() for is_finite in finite)
+    return all(len(each) > 1 and bool(each.all() if signal == "torque" else each.any()) for each in finite)
 
 
 def _pick_torque(efforts: Families) -> Families:

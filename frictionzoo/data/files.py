@@ -12,10 +12,11 @@ from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import ORIGINS, Columns, Dataset, Log, Payload
 from frictionzoo.data.clean import Cleaning, clean, summarise_repairs
-from frictionzoo.data.columns import Proposal, list_names, propose, to_recording
+from frictionzoo.data.columns import list_names, to_recording
 from frictionzoo.data.formats import find_files, format_names, read_tables
 from frictionzoo.data.logs import InMemory, Logs
 from frictionzoo.data.pairing import arrange, has_names, reorder, say_order
+from frictionzoo.data.propose import Proposal, propose
 from frictionzoo.data.recording import SIGNALS, TURNED, Recording, Table
 from frictionzoo.data.select import Selection, choose_payloads
 from frictionzoo.data.source import Source, register_source
@@ -212,8 +213,7 @@ class Files(Source):
                 name: np.full((log.samples, 1), _constant(recording, name, value))
                 for name, value in self.inputs.items()
             }
-            changes = {"payload": payload, "extras": {**log.extras, **constants}, "metadata": recording.fields}
-            logs.append(replace(log, **changes, units=self.units))
+            logs.append(replace(log, payload=payload, extras={**log.extras, **constants}, units=self.units))
         return logs
 
     def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:

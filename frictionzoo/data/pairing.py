@@ -64,13 +64,21 @@ def arrange(name: str, columns: Mapping[str, Columns], joints: Sequence[str]) ->
 def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str]) -> Pairing:
     as_listed = Pairing(tuple(range(len(of.headers))), "listed")
     try:
-        pairing = pair(of.headers, joints)
-    except LogError as error:
+        pairing = pair_signal(name, signal, of.headers, joints)
+    except LogError:
         if of.listed:
             return as_listed
+        raise
+    return pairing if pairing.by == "name" or not of.listed else as_listed
+
+
+def pair_signal(name: str, signal: str, headers: Sequence[str], joints: Sequence[str]) -> Pairing:
+    """Match the headers of a signal as `pair`, with the recording's name and an advice in the error."""
+    try:
+        return pair(headers, joints)
+    except LogError as error:
         needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
         raise LogError(f"{name}: {signal} {error}; set data.columns.{signal} to the columns{needed}") from None
-    return pairing if pairing.by == "name" or not of.listed else as_listed
 
 
 def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dict[str, Columns]:
@@ -177,11 +185,11 @@ def label(headers: Sequence[str]) -> tuple[str, ...]:
     """Return names for unknown joints: headers without signal words, or numbers from 1 if these are no names."""
     names = []
     for header in headers:
-        words = [word for word in re.finditer(r"[^\W\d_]+|\d+", header)]
-        while words and KNOWN.issuperset(list_words(split(words[0].group()))) and not words[0].group().isdecimal():
-            words.pop(0)
-        while words and KNOWN.issuperset(list_words(split(words[-1].group()))) and not words[-1].group().isdecimal():
-            words.pop()
+        words = [
+            word
+            for word in re.finditer(r"[^\W\d_]+|\d+", header)
+            if word.group().isdecimal() or not KNOWN.issuperset(list_words(split(word.group())))
+        ]
         names.append(header[words[0].start() : words[-1].end()] if words else "")
     if not has_names(headers) or not all(names) or len({*names}) < len(names):
         return tuple(str(number) for number in range(1, len(headers) + 1))

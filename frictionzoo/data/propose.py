@@ -5,12 +5,13 @@ import re
 import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from frictionzoo.data.families import find_columns, is_usable
 from frictionzoo.data.recording import SIGNALS, Table
-from frictionzoo.data.signals import Signal
+from frictionzoo.data.signals import ALIKE, Signal
 from frictionzoo.data.units import UNITS, ratio
 
 BAM = {
@@ -25,7 +26,6 @@ SPELLINGS = {
 }
 STEPS = ((0.5, "s"), (200.0, "ms"), (2e5, "us"), (math.inf, "ns"))  # largest median step by unit, 5 Hz to 5 kHz
 NEAR = 0.12  # largest error of a ratio's logarithm for which the ratio shows the units
-ALIKE = 0.9  # least correlation of two signals of the same quantity
 TURNS = 57.0  # rad; nine turns of a joint, more likely a motion recorded in degrees
 
 
@@ -47,12 +47,13 @@ class Proposal:
 
     def overrides(self) -> list[str]:
         """Return the proposal as command-line options, quoted for a shell if needed."""
-        columns = [
-            f"data.columns.{signal}={_quote(headers[0]) if signal == 'time' else _list(headers)}"
-            for signal, headers in self.columns.items()
-        ]
-        units = [f"data.units.{signal}={_quote(unit)}" for signal, unit in self.units.items()]
-        return [_shell(option) for option in (*columns, *units)]
+        options = []
+        for signal, headers in self.columns.items():
+            names = ",".join(map(_quote, headers))
+            options.append(f"data.columns.{signal}={_quote(headers[0]) if signal == 'time' else f'[{names}]'}")
+        options += [f"data.units.{signal}={_quote(unit)}" for signal, unit in self.units.items()]
+        # Brackets around words need no quotes.
+        return [option if re.fullmatch(r"[\w.=/,\[\]-]*", option) else shlex.quote(option) for option in options]
 
 
 def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()) -> Proposal:
@@ -84,7 +85,9 @@ def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
         if unit is not None and not table.units.get(headers[0]):
             units[signal] = unit
             reasons.append(f"{signal} in {unit}: by its header {headers[0]}")
-    for guess in (_guess_time, _guess_rate, _guess_turns, _guess_command, _guess_command_rate):
+    command = partial(_guess_followed, "qpos", "ctrl", ("rad", "deg"))
+    command_rate = partial(_guess_followed, "qvel", "ctrl_velocity", ("rad/s", "deg/s"))
+    for guess in (_guess_time, _guess_rate, _guess_turns, command, command_rate):
         for signal, unit, reason in guess(table, columns, units):
             units[signal] = unit
             reasons.append(f"{signal} in {unit}: {reason}")
@@ -126,7 +129,7 @@ def _guess_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Gue
     if signals is None or {"qpos", "qvel"} <= set(units) or columns["qpos"][0] in table.units:
         return []
     time, position, velocity = signals
-    seconds = time * np.divide(*ratio("time", units.get("time") or table.units.get(columns["time"][0], "s")))
+    seconds = time * _si("time", units.get("time") or table.units.get(columns["time"][0], "s"))
     advances = np.isfinite(seconds) & (np.diff(seconds, prepend=-math.inf) > 0)
     if advances.sum() < 3:
         return []
@@ -157,16 +160,8 @@ def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Gu
     return [("qpos", "deg", f"it reaches {largest:.4g}, nine turns in radians"), *rate]
 
 
-def _guess_command(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    return _guess_followed(table, columns, units, "qpos", "ctrl", ("rad", "deg"))
-
-
-def _guess_command_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    return _guess_followed(table, columns, units, "qvel", "ctrl_velocity", ("rad/s", "deg/s"))
-
-
 def _guess_followed(
-    table: Table, columns: Columns, units: Mapping[str, str], signal: str, told: str, possible: tuple[str, ...]
+    signal: str, told: str, possible: tuple[str, ...], table: Table, columns: Columns, units: Mapping[str, str]
 ) -> Guess:
     """Guess the unit of a command from the ratio of the signal that follows it."""
     if told in units or columns.get(told, ("",))[0] in table.units:
@@ -213,12 +208,3 @@ def _si(signal: str, unit: str) -> float:
 def _quote(name: str) -> str:
     """Return an option's value, quoted if Hydra would parse it as syntax."""
     return name if re.fullmatch(r"[A-Za-z_][\w/ -]*", name) else '"' + name.replace('"', '\\"') + '"'
-
-
-def _list(headers: tuple[str, ...]) -> str:
-    return f"[{','.join(_quote(header) for header in headers)}]"
-
-
-def _shell(option: str) -> str:
-    """Return an option as one word of a shell; brackets around words need no quotes."""
-    return option if re.fullmatch(r"[\w.=/,\[\]-]*", option) else shlex.quote(option)

@@ -163,7 +163,9 @@ def delayed(
         moving, columns = _passive(cut, joint)
         columns = np.column_stack([cut.links[moving, joint], columns])
         if moving.sum() >= FEW:
-            basis = _orthogonal(columns)
+            scaled = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+            basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+            basis = basis[:, sizes > 1e-9 * sizes.max()]
             for index, samples in enumerate(steps):
                 torque = found.whole[rows[moving] - samples, joint]
                 torque = torque - torque.mean()
@@ -171,11 +173,6 @@ def delayed(
                 unexplained[index] += (total - float(np.sum((basis.T @ torque) ** 2))) / total
             counted += 1
     return (steps * found.timestep, unexplained / counted) if counted else (np.zeros(0), np.zeros(0))
-
-
-def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, "rows rank"]:
-    basis, sizes, _ = np.linalg.svd(columns / np.maximum(np.abs(columns).max(axis=0), 1e-300), full_matrices=False)
-    return basis[:, sizes > 1e-9 * sizes.max()]
 
 
 def _passive(found: Balance, joint: int) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "moving 4"]]:

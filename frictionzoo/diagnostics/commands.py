@@ -9,7 +9,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
 from frictionzoo.data.signals import Signal
 from frictionzoo.diagnostics.balance import commanded_torque
-from frictionzoo.diagnostics.findings import Said, turn
+from frictionzoo.diagnostics.findings import Finding, turn
 
 SATURATED = 0.2  # share of samples at the ends of the range above which a command may be clipped
 PAST = 0.1  # overshoot of the position beyond a clipped command's range, as a share of that range
@@ -19,15 +19,12 @@ OPPOSED = 0.0  # net work share below which a command takes energy from the driv
 CARRIED = -0.5  # the same for a joint that other joints move, and that its actuator may brake
 
 
-def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None) -> Iterator[tuple[str, bool, str]]:
+def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None) -> Iterator[Finding]:
     """Find a constant or clipped command; `follows` is the position that should follow it, if any."""
     low, high = float(ctrl.min()), float(ctrl.max())
     if low == high:
-        yield (
-            "constant",
-            False,
-            f"ctrl{of} is constant, {low:.4g}: the motion contains little information; check data.columns.ctrl",
-        )
+        text = f"ctrl{of} is constant, {low:.4g}: the motion contains little information; check data.columns.ctrl"
+        yield Finding("constant", False, text)
         return
     # Resampling rounds levels and adds values between them.
     share = np.round((ctrl - low) / (high - low), 6)
@@ -37,34 +34,25 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
     # A position commanded to rest at two ends does not go far beyond them.
     overshoot = 1.0 if follows is None else max(low - follows.min(), follows.max() - high) / (high - low)
     if ends > SATURATED and overshoot > PAST and (not is_stepped or (follows is not None and overshoot > FAR_PAST)):
-        yield (
-            "saturated",
-            False,
-            f"ctrl{of} is at an end of its range, {low:.4g} or {high:.4g}, in {100 * ends:.0f} % of the samples: it "
-            "seems to be clipped; record the command that the drive received (data.columns.ctrl), or a smaller motion",
-        )
+        text = f"ctrl{of} is at an end of its range, {low:.4g} or {high:.4g}, in {100 * ends:.0f} % of the samples: it "
+        text += "seems to be clipped; record the command that the drive received (data.columns.ctrl), or a smaller "
+        text += "motion"
+        yield Finding("saturated", False, text)
 
 
-def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Said]:
+def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Finding]:
     """Find a command that takes energy from the drive; uncertain if other joints move this one."""
     if not takes_energy(bench, joint, share):
         return
     text = f"ctrl{of} takes energy from the drive ({100 * share:.0f} % of the energy that they exchange)"
     if _is_alone(bench, joint):
-        yield (
-            "work",
-            True,
-            f"{text}, expected to supply it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or check qpos "
-            "and ctrl for swapped columns, units, zero and time shift (data.columns, data.units, "
-            "data.clean.command_lag)",
-            turn(joint, "ctrl"),
-        )
+        message = f"{text}, expected to supply it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or check "
+        message += "qpos and ctrl for swapped columns, units, zero and time shift (data.columns, data.units, "
+        message += "data.clean.command_lag)"
+        yield Finding("work", True, message, repairs=turn(joint, "ctrl"))
     else:
-        yield (
-            "work",
-            False,
-            f"{text}: correct if gravity or other joints move it, else check its sign (data.sign.ctrl)",
-        )
+        message = f"{text}: correct if gravity or other joints move it, else check its sign (data.sign.ctrl)"
+        yield Finding("work", False, message)
 
 
 def takes_energy(bench: Bench, joint: int, share: float) -> bool:

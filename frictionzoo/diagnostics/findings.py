@@ -1,6 +1,7 @@
-"""Findings of the diagnostics, their repairs, and their conversion to warnings or errors."""
+"""Findings of the diagnostics, their repairs, and their conversion to warnings or errors; checks of pages."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
@@ -21,10 +22,6 @@ class Repair(NamedTuple):
     value: Any
     joint: int | None = None
     is_factor: bool = False
-
-
-Said = tuple[str, bool, str] | tuple[str, bool, str, tuple[Repair, ...]]
-"""Kind, certainty, text and repairs of a finding, without recording and joint."""
 
 
 class Doubt(NamedTuple):
@@ -53,10 +50,26 @@ class Finding(NamedTuple):
     joint: str = ""
     repairs: tuple[Repair, ...] = ()
 
-    @classmethod
-    def of(cls, said: Said, log: str, joint: str = "") -> "Finding":
-        """Return the finding with its recording and joint."""
-        return cls(*said[:3], log, joint, said[3] if len(said) > 3 else ())
+
+@dataclass(frozen=True)
+class Check:
+    """Outcome of one check of a result or of data, as pages and `inspect.json` list it.
+
+    Attributes:
+        state: `good`, `note`, `caution` or `bad`.
+        text: Outcome in plain sentences.
+        option: Option to add to the command line; None for none.
+    """
+
+    state: str
+    title: str
+    text: str
+    option: str | None = None
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the check found a problem."""
+        return self.state in ("caution", "bad")
 
 
 def say_sign(joint: int, count: int) -> str:
@@ -68,11 +81,6 @@ def say_sign(joint: int, count: int) -> str:
 def turn(joint: int, *signals: str) -> tuple[Repair, ...]:
     """Return the options that reverse the sign of these signals of a joint."""
     return tuple(Repair(f"data.sign.{signal}", -1, joint, is_factor=True) for signal in signals)
-
-
-def identify_delay(lag: float) -> tuple[Repair, ...]:
-    """Return the options that identify a delay of up to 1.5 times this lag [s]."""
-    return Repair("bench.params.delay.identify", True), Repair("bench.params.delay.high", float(f"{1.5 * lag:.2g}"))
 
 
 def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Doubt]:

@@ -12,8 +12,8 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
 from frictionzoo.data.signals import Signal
 from frictionzoo.diagnostics.commands import takes_energy
-from frictionzoo.diagnostics.findings import Repair, Said, identify_delay, say_sign, turn
-from frictionzoo.diagnostics.lags import SHORTEST, WINDOWS, Likeness, compare, find_drift, pick_lag, say_drift
+from frictionzoo.diagnostics.findings import Finding, say_sign, turn
+from frictionzoo.diagnostics.lags import SHORTEST, WINDOWS, Likeness, compare, find_drift, find_shift, pick_lag
 
 FOLLOWS = 0.9  # correlation above which a position follows its command
 IGNORES = 0.5  # correlation below which it does not
@@ -67,7 +67,7 @@ def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -
 
 def check_following(
     log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool, swapped: int | None
-) -> Iterator[Said]:
+) -> Iterator[Finding]:
     """Find faults of a position and its command; `of` names the joint in messages.
 
     If the lag `drifts` over the recording, a single lag has no meaning. `swapped` is the joint whose command this joint
@@ -78,27 +78,17 @@ def check_following(
     best, slide = found.likeness.best, bench.joint_type == "slide"
     opposed = found.likeness.between(0.0, QUARTER).correlation.min()
     if swapped is not None:
-        yield (
-            "swapped",
-            True,
-            f"qpos{of} follows ctrl of {bench.joints[swapped]}: columns are swapped; put "
-            "data.columns.ctrl, or data.columns.qpos and data.columns.qvel, into the order of the bench's joints",
-        )
+        text = f"qpos{of} follows ctrl of {bench.joints[swapped]}: columns are swapped; put data.columns.ctrl, or "
+        text += "data.columns.qpos and data.columns.qvel, into the order of the bench's joints"
+        yield Finding("swapped", True, text)
     elif opposed < -FOLLOWS and -opposed > usual.correlation.max():
-        yield (
-            "opposed",
-            True,
-            f"qpos{of} moves opposite to ctrl (correlation {opposed:.2f}), expected to follow it; set "
-            f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
-            turn(joint, "ctrl"),
-        )
+        text = f"qpos{of} moves opposite to ctrl (correlation {opposed:.2f}), expected to follow it; set "
+        text += f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel"
+        yield Finding("opposed", True, text, repairs=turn(joint, "ctrl"))
     elif found.likeness.correlation[best] < IGNORES:
-        yield (
-            "ignored",
-            takes_energy(bench, joint, found.work),
-            f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): check "
-            "that ctrl is a desired position (bench.actuator, or another bench) of this joint (data.columns.ctrl)",
-        )
+        text = f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): check "
+        text += "that ctrl is a desired position (bench.actuator, or another bench) of this joint (data.columns.ctrl)"
+        yield Finding("ignored", takes_energy(bench, joint, found.work), text)
     elif found.likeness.correlation[best] > FOLLOWS:
         yield from () if drifts else _check_time(of, found, least)
         yield from _check_size(of, found, slide)
@@ -106,40 +96,36 @@ def check_following(
 
 def find_swaps(log: Log, followed: Mapping[int, Followed]) -> dict[int, int]:
     """Map each joint to the joint whose command it follows instead, if exchanged commands suit them all."""
-    distances = {
-        joint: float(pair.likeness.between(0.0, LATEST_OTHER).distance.min()) for joint, pair in followed.items()
-    }
-    suspects = [joint for joint, pair in followed.items() if distances[joint] > OTHER * np.std(pair.qpos[pair.on])]
+    suspects = [
+        joint
+        for joint, pair in followed.items()
+        if pair.likeness.between(0.0, LATEST_OTHER).distance.min() > OTHER * np.std(pair.qpos[pair.on])
+    ]
     cost = np.zeros((len(suspects), len(suspects)))
     for row, joint in enumerate(suspects):
         pair = followed[joint]
         for column, other in enumerate(suspects):
             likeness = compare(pair.qpos, followed[other].ctrl, log.timestep, pair.on).between(0.0, LATEST_OTHER)
             cost[row, column] = float(likeness.distance.min())
-    rows, columns = scipy.optimize.linear_sum_assignment(cost**2)
-    swaps = {suspects[row]: suspects[column] for row, column in zip(rows, columns, strict=True) if row != column}
-    are_closer = all(
-        cost[row, column] < OTHER * cost[row, row] for row, column in zip(rows, columns, strict=True) if row != column
-    )
-    return swaps if are_closer else {}
+    assigned = zip(*scipy.optimize.linear_sum_assignment(cost**2), strict=True)
+    swaps = [(row, column) for row, column in assigned if row != column]
+    are_closer = all(cost[row, column] < OTHER * cost[row, row] for row, column in swaps)
+    return {suspects[row]: suspects[column] for row, column in swaps} if are_closer else {}
 
 
-def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]]:
+def check_asked(log: Log, of: str, joint: int) -> Iterator[Finding]:
     """Find a torque command that the position follows like a desired position."""
     ctrl = log.ctrl[:, joint]
     if np.ptp(ctrl) > 0:
         likeness = compare(log.qpos[:, joint], ctrl, log.timestep, np.ones(log.samples, bool)).between(0.0, LATE)
         if likeness.correlation.max() > COPIES and abs(likeness.scale[likeness.best] - 1) < ABOUT:
-            yield (
-                "asked",
-                False,
-                f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
-                f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the bench of "
-                "these recordings (bench=NAME) or a position actuator (bench.actuator._target_)",
-            )
+            text = f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
+            text += f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the "
+            text += "bench of these recordings (bench=NAME) or a position actuator (bench.actuator._target_)"
+            yield Finding("asked", False, text)
 
 
-def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
+def check_drift(log: Log, found: Followed) -> Finding | None:
     """Find a lag behind the command that changes over the recording."""
     lags = []
     for window in np.array_split(np.arange(log.samples), WINDOWS):
@@ -152,55 +138,34 @@ def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
             follows = len(likeness.lags) > 2 and likeness.correlation.max() > FOLLOWS
             lag = pick_lag(likeness.lags, likeness.misfit) if follows else None
         lags.append(None if lag is None else (float(log.time[window].mean()), lag))
-    if drift := find_drift(lags):
-        yield "drift", False, say_drift(drift)
+    return find_drift(lags)
 
 
-def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
+def _check_time(of: str, found: Followed, least: float) -> Iterator[Finding]:
     """Find a position that is ahead of its command, or later than the drive explains."""
     likeness, lag = found.likeness, float(found.likeness.lags[found.likeness.best])
     late = LATE + GAINS * found.settles
     # A periodic command matches equally well a period later.
     usual = float(likeness.between(-least, late).misfit.min())
     ratio, is_poor = float(likeness.misfit.min()) / max(usual, 1e-12), usual > POOR
-    if lag < -least and (ratio < MUCH_BETTER if found.work < 0 else ratio < FAR_BETTER and is_poor):
-        yield (
-            "early",
-            True,
-            f"qpos{of} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
-            f"data.clean.command_lag={-lag + found.settles:.2g} (s), or its true lag",
-            (Repair("data.clean.command_lag", float(f"{-lag + found.settles:.2g}")),),
-        )
-    elif lag > late and ratio < MUCH_BETTER and is_poor:
-        yield (
-            "late",
-            False,
-            f"qpos{of} lags ctrl by {1e3 * lag:.3g} ms; the controller's gains explain {1e3 * found.settles:.3g} ms: "
-            "identify bench.params.delay (bench.params.delay.identify=true and "
-            f"bench.params.delay.high={1.5 * lag:.2g}), or check that the columns have the same times",
-            identify_delay(lag),
-        )
+    is_early = lag < -least and (ratio < MUCH_BETTER if found.work < 0 else ratio < FAR_BETTER and is_poor)
+    if is_early or (lag > late and ratio < MUCH_BETTER and is_poor):
+        yield find_shift(f"qpos{of}", lag, found.settles)
 
 
-def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bool, str]]:
+def _check_size(of: str, found: Followed, slide: bool) -> Iterator[Finding]:
     """Find a position with another scale or zero than its command."""
     scale = float(found.likeness.scale[found.likeness.best])
     qpos, ctrl = found.qpos[found.on], found.ctrl[found.on]
     moved, asked, apart = np.ptp(qpos), np.ptp(ctrl), float(np.abs(qpos - ctrl).min())
     if scale > LARGER or scale < 1 / SMALLER:
-        yield (
-            "size",
-            scale > LARGER or scale < 1 / FAR_SMALLER,
-            f"qpos{of} moves by {moved:.3g} while ctrl spans {asked:.3g}, {scale:.4g} times as far: set "
-            f"{_mend(scale, slide)}",
-        )
+        text = f"qpos{of} moves by {moved:.3g} while ctrl spans {asked:.3g}, {scale:.4g} times as far: "
+        text += f"set {_mend(scale, slide)}"
+        yield Finding("size", scale > LARGER or scale < 1 / FAR_SMALLER, text)
     elif apart > APART * max(moved, asked):
-        yield (
-            "zero",
-            False,
-            f"qpos{of} and ctrl differ by {apart:.3g} or more over a motion of {max(moved, asked):.3g}: check that "
-            "both have the same zero (bench.params.position_offset)",
-        )
+        text = f"qpos{of} and ctrl differ by {apart:.3g} or more over a motion of {max(moved, asked):.3g}: check that "
+        text += "both have the same zero (bench.params.position_offset)"
+        yield Finding("zero", False, text)
 
 
 def _mend(scale: float, slide: bool) -> str:

@@ -7,6 +7,7 @@ import scipy.fft
 from jaxtyping import Bool, Float
 
 from frictionzoo.data.signals import Signal
+from frictionzoo.diagnostics.findings import Finding, Repair
 
 FARTHEST = 1.0  # s, largest lag in either direction
 WINDOWS = 6  # windows of a recording, each with its own lag
@@ -50,13 +51,6 @@ class Likeness(NamedTuple):
         return 1 - self.correlation * np.abs(self.correlation)
 
 
-class Drift(NamedTuple):
-    """Lag at the start and at the end of a recording [s]."""
-
-    first: float
-    last: float
-
-
 def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndarray, "time"]) -> Likeness:
     """Compare a signal with a reference at all lags up to `FARTHEST`, in the samples of the signal that are `on`.
 
@@ -81,8 +75,8 @@ def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndar
     return Likeness(steps[has_partners] * timestep, correlation, covariance / np.maximum(variance_r, floor), distance)
 
 
-def find_drift(found: list[tuple[float, float] | None]) -> Drift | None:
-    """Return the drift of a lag, if any, from time and lag of each window [s]; None for windows without a clear lag."""
+def find_drift(found: list[tuple[float, float] | None]) -> Finding | None:
+    """Find a drifting lag from time and lag of each window [s], which is None for windows without a clear lag."""
     pairs = [pair for pair in found if pair is not None]
     if len(pairs) < WINDOWS - 1:
         return None
@@ -90,16 +84,29 @@ def find_drift(found: list[tuple[float, float] | None]) -> Drift | None:
     slope, start = np.polyfit(when, lags, 1)
     scatter = float(np.abs(lags - (start + slope * when)).max())
     first, last = (float(start + slope * when[index]) for index in (0, -1))
-    return Drift(first, last) if abs(last - first) > max(DRIFT, scatter / STEADY) else None
+    text = f"the motion lags ctrl by {1e3 * first:.0f} ms at the start and by {1e3 * last:.0f} ms at the end: their "
+    text += "clocks drift apart; record both with one clock and name its column (data.columns.time), or cut the "
+    text += "recording into pieces"
+    return Finding("drift", False, text) if abs(last - first) > max(DRIFT, scatter / STEADY) else None
 
 
-def say_drift(drift: Drift) -> str:
-    """Return the message about a lag that drifts."""
-    return (
-        f"the motion lags ctrl by {1e3 * drift.first:.0f} ms at the start and by {1e3 * drift.last:.0f} ms at "
-        "the end: their clocks drift apart; record both with one clock and name its column (data.columns.time), or cut "
-        "the recording into pieces"
-    )
+def find_shift(moves: str, lag: float, settles: float | None = None) -> Finding:
+    """Return the finding of a motion, `moves` in its text, by `lag` behind its command [s], or ahead if negative.
+
+    `settles` is the lag that a position controller's gains explain [s]; None for a torque command.
+    """
+    if lag < 0:
+        command_lag, hint = (f"{-lag:.2g}", "") if settles is None else (f"{-lag + settles:.2g}", ", or its true lag")
+        text = f"{moves} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
+        text += f"data.clean.command_lag={command_lag} (s){hint}"
+        return Finding("early", True, text, repairs=(Repair("data.clean.command_lag", float(command_lag)),))
+    gains = "" if settles is None else f"; the controller's gains explain {1e3 * settles:.3g} ms"
+    high = f"{1.5 * lag:.2g}"
+    text = f"{moves} lags ctrl by {1e3 * lag:.3g} ms{gains}: identify bench.params.delay "
+    text += f"(bench.params.delay.identify=true and bench.params.delay.high={high}), or check that the columns have "
+    text += "the same times"
+    repairs = Repair("bench.params.delay.identify", True), Repair("bench.params.delay.high", float(high))
+    return Finding("late", False, text, repairs=repairs)
 
 
 def pick_lag(lags: Float[np.ndarray, "lags"], misfit: Float[np.ndarray, "lags"]) -> float | None:

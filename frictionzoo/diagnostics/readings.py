@@ -38,14 +38,9 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
         after, before, _, repairs = min(better)
         # A hanging leg moves like its mirror image: several readings may be equally good.
         sentences = [sentence for new, old, sentence, _ in sorted(better) if new < AS_GOOD * after and old == before]
-        yield Finding(
-            "reading",
-            False,
-            "the actuators' torque matches the torque that the links need much better (unexplained share "
-            f"{before:.2g}, then {after:.2g}, summed over coupled joints) if {'; or if '.join(sentences)}",
-            log.name,
-            repairs=repairs,
-        )
+        text = "the actuators' torque matches the torque that the links need much better (unexplained share "
+        text += f"{before:.2g}, then {after:.2g}, summed over coupled joints) if {'; or if '.join(sentences)}"
+        yield Finding("reading", False, text, log.name, repairs=repairs)
 
 
 def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Log], tuple[Repair, ...]]]:

@@ -14,12 +14,10 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.clean import TIMES_ROUNDED
 from frictionzoo.diagnostics.balance import balance, explain
 from frictionzoo.diagnostics.commands import check_command, check_work, work
-from frictionzoo.diagnostics.declared import check_declared
-from frictionzoo.diagnostics.excitation import check_excitation
-from frictionzoo.diagnostics.findings import Doubt, Finding, Repair, Said, settle
+from frictionzoo.diagnostics.dataset import check_declared, check_excitation, check_motion
+from frictionzoo.diagnostics.findings import Doubt, Finding, settle
 from frictionzoo.diagnostics.following import Followed, check_asked, check_drift, check_following, find_swaps, settling
 from frictionzoo.diagnostics.lags import compare
-from frictionzoo.diagnostics.motion import check_motion
 from frictionzoo.diagnostics.readings import check_readings
 from frictionzoo.diagnostics.samples import (
     SHORT,
@@ -29,16 +27,14 @@ from frictionzoo.diagnostics.samples import (
     check_turns,
     check_velocity,
     find_isolated,
+    find_outlying,
     leave_out,
-    say_outliers,
 )
 from frictionzoo.diagnostics.torque import KNOWN, agrees, check_torque
 
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
 BRIEF = 2.5  # s; shorter recordings have too little motion to compare commands and torque
 CLOSELY = 40  # evenly spread recordings with all checks; the others skip following and torque
-
-READ = 1  # first recordings for which other readings are tried
 
 
 def check_up(dataset: Dataset, bench: Bench, checkup: str) -> list[Doubt]:
@@ -62,8 +58,7 @@ def find_all(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
         for finding in _check_log(log, bench, to_position, closely is None or number in closely):
             wrong |= finding.certain
             yield finding
-    for log in logs[:READ]:
-        yield from () if wrong else check_readings(log, bench)
+    yield from () if wrong else check_readings(logs[0], bench)
     yield from check_excitation(dataset.train, bench)
     yield from check_motion(dataset, bench)
 
@@ -85,26 +80,25 @@ def _check_log(log: Log, bench: Bench, to_position: bool, closely: bool) -> Iter
     broken = False
     for joint, name in enumerate(bench.joints):
         for fault in _check_signals(log, _of(bench, joint), bench, joint, cleaned):
-            broken |= fault[1]
-            yield Finding.of(fault, log.name, name)
+            broken |= fault.certain
+            yield fault._replace(log=log.name, joint=name)
     if not broken:
         yield from _check_together(log, bench, to_position, closely, cleaned)
 
 
 def _check_signals(
     log: Log, of: str, bench: Bench, joint: int, cleaned: dict[str, Float[np.ndarray, "time nv"]]
-) -> Iterator[Said]:
+) -> Iterator[Finding]:
     """Check each signal of a joint, and replace outliers in `cleaned` for all later checks."""
     for name, values in cleaned.items():
         outliers = find_isolated(name, values[:, joint])
         if outliers.any():
-            repairs = (Repair("data.clean.spikes", "repair"),)
-            yield f"outliers {name}", False, say_outliers(log, f"{name}{of}", values[:, joint], outliers), repairs
+            yield find_outlying(log, name, of, values[:, joint], outliers)
         values[:, joint] = leave_out(values[:, joint], outliers)
     qpos, qvel, ctrl = (cleaned[name][:, joint] for name in ("qpos", "qvel", "ctrl"))
     faults = list(check_position(of, qpos, ctrl, bench))
     yield from faults
-    if not any(fault[1] for fault in faults):
+    if not any(fault.certain for fault in faults):
         yield from check_velocity(log, of, joint, qpos, qvel)
         yield from check_stroke(of, qpos, qvel) if bench.joint_type == "slide" else ()
 
@@ -120,15 +114,15 @@ def _check_together(
     drifts = False
     if followed:
         best = max(followed, key=lambda joint: followed[joint].likeness.correlation.max())
-        drift = list(check_drift(log, followed[best]))
-        drifts = bool(drift)
-        yield from (Finding.of(fault, log.name) for fault in drift)
+        if drift := check_drift(log, followed[best]):
+            drifts = True
+            yield drift._replace(log=log.name)
     swaps, named, wrong = find_swaps(log, followed), {name for name in bench.joints if drifts}, False
     for joint, name in enumerate(bench.joints):
         comparison = (followed.get(joint), drifts, swaps.get(joint))
         for fault in _check_commands(log, bench, joint, to_position, closely, *comparison):
-            named, wrong = named | {name}, wrong or fault[1]
-            yield Finding.of(fault, log.name, name)
+            named, wrong = named | {name}, wrong or fault.certain
+            yield fault._replace(log=log.name, joint=name)
     if log.samples > SHORT and not wrong:
         yield from _check_forces(log, bench, to_position, closely, works, named)
 
@@ -152,9 +146,10 @@ def _check_forces(
     yield from findings
     named = named | {entry.joint or name for entry in findings for name in bench.joints}
     for joint, name in enumerate(bench.joints):
-        if name not in named and _is_told(log, bench, joint) and not agrees(explained[joint]):
+        is_commanded = np.ptp(log.ctrl[:, joint]) > 0 or _has_more(log, bench, joint)
+        if name not in named and is_commanded and not agrees(explained[joint]):
             for said in check_work(_of(bench, joint), bench, joint, float(works[joint])):
-                yield Finding.of(said, log.name, name)
+                yield said._replace(log=log.name, joint=name)
 
 
 def _follow(log: Log, bench: Bench, works: Float[np.ndarray, "nv"]) -> dict[int, Followed]:
@@ -178,7 +173,7 @@ def _check_commands(
     found: Followed | None,
     drifts: bool,
     swapped: int | None,
-) -> Iterator[Said]:
+) -> Iterator[Finding]:
     """Check the command of a joint, alone and against its position."""
     on, of = _following(log, bench, joint), _of(bench, joint)
     if np.ptp(log.ctrl[:, joint]) > 0 or not _has_more(log, bench, joint):
@@ -202,19 +197,11 @@ def _of(bench: Bench, joint: int) -> str:
 
 def _following(log: Log, bench: Bench, joint: int) -> Bool[np.ndarray, "time"]:
     """Return samples in which a joint should follow its command: it is on, and a recorded gain is above 0."""
-    on = _enabled(log)
-    return on & (log.inputs["kp"][:, joint] > 0) if "kp" in bench.actuator.inputs else on
-
-
-def _enabled(log: Log) -> Bool[np.ndarray, "time"]:
     on = np.ravel(log.extras.get("enable", np.ones(1))) > 0
-    return on if len(on) == log.samples else np.full(log.samples, on.any())
+    on = on if len(on) == log.samples else np.full(log.samples, on.any())
+    return on & (log.inputs["kp"][:, joint] > 0) if "kp" in bench.actuator.inputs else on
 
 
 def _has_more(log: Log, bench: Bench, joint: int) -> bool:
     """Return whether a joint receives another varying command than `ctrl`."""
     return any(np.ptp(log.inputs[name][:, joint]) > 0 for name in bench.actuator.commands if name not in GAINS)
-
-
-def _is_told(log: Log, bench: Bench, joint: int) -> bool:
-    return bool(np.ptp(log.ctrl[:, joint]) > 0) or _has_more(log, bench, joint)

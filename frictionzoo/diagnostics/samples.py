@@ -17,7 +17,7 @@ from frictionzoo.data.signals import (
     find_velocity_lag,
     repair_spikes,
 )
-from frictionzoo.diagnostics.findings import Finding, Repair, Said
+from frictionzoo.diagnostics.findings import Finding, Repair
 from frictionzoo.diagnostics.lags import compare
 
 LAGGING = 0.004  # s, largest accepted lag of a measured velocity
@@ -46,14 +46,10 @@ def check_clock(log: Log) -> Iterator[Finding]:
     """Find implausible sample intervals, which indicate another unit of time."""
     if not FASTEST <= log.timestep <= SLOWEST:
         unit = "ms" if log.timestep < 1e3 * SLOWEST else "us"
-        yield Finding(
-            "clock",
-            True,
-            f"{log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s in a drive's recording; set "
-            f"data.units.time{'=' + unit if log.timestep > SLOWEST else ''}, or, if the times are correct, record "
-            "faster or set a shorter data.clean.step",
-            log.name,
-        )
+        text = f"{log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s in a drive's recording; "
+        text += f"set data.units.time{'=' + unit if log.timestep > SLOWEST else ''}, or, if the times are correct, "
+        text += "record faster or set a shorter data.clean.step"
+        yield Finding("clock", True, text, log.name)
 
 
 def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
@@ -65,13 +61,12 @@ def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
     return far
 
 
-def say_outliers(log: Log, what: str, values: Signal, far: Bool[np.ndarray, "time"]) -> str:
-    """Return the message about the outliers of a signal."""
+def find_outlying(log: Log, name: str, of: str, values: Signal, far: Bool[np.ndarray, "time"]) -> Finding:
+    """Return the finding of the outliers `far` of a signal."""
     index = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
-    return (
-        f"{what} has outliers ({far.sum()}), such as {values[index]:.4g} at {log.time[index]:.4g} s; "
-        "set data.clean.spikes=repair"
-    )
+    text = f"{name}{of} has outliers ({far.sum()}), such as {values[index]:.4g} at {log.time[index]:.4g} s; "
+    text += "set data.clean.spikes=repair"
+    return Finding(f"outliers {name}", False, text, repairs=(Repair("data.clean.spikes", "repair"),))
 
 
 def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
@@ -80,67 +75,49 @@ def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
     return np.interp(np.arange(len(values)), usable, values[usable]) if far.any() else values
 
 
-def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[Said]:
+def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[Finding]:
     """Find faults of the position alone; a certain fault ends the check."""
-    fault: Said | None = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
+    fault = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
     if fault is None and bench.joint_type == "hinge":
         fault = _find_wrapping(of, qpos)
     if fault is not None:
         yield fault
         return
-    yield from _find_coarse(of, qpos)
+    if (apart := _apart(qpos)) > COARSE:
+        text = f"qpos{of} differs from an interpolation of its neighbouring samples by {100 * apart:.0f} % of its "
+        text += "spread: it is sampled too slowly and may be aliased; record faster, or set a shorter data.clean.step"
+        yield Finding("coarse", False, text)
     yield from _find_frozen(of, qpos)
 
 
-def _find_still(of: str, qpos: Signal, ctrl: Signal) -> tuple[str, bool, str] | None:
+def _find_still(of: str, qpos: Signal, ctrl: Signal) -> Finding | None:
     moved, quantum = float(np.ptp(qpos)), find_quantum(qpos) or 0.0
     if moved > STILL * quantum and moved > 1e-9 * max(1.0, float(np.abs(qpos).max())):
         return None
-    return (
-        "still",
-        True,
-        f"qpos{of} moves by {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; "
-        "check whether it was on, and data.columns.qpos",
-    )
+    text = f"qpos{of} moves by {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; check "
+    text += "whether it was on, and data.columns.qpos"
+    return Finding("still", True, text)
 
 
-def _find_noise(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
+def _find_noise(of: str, qpos: Signal) -> Finding | None:
     # Steps between samples of white noise have twice its variance, of a motion that is sampled fast almost none.
     ratio = float(np.std(np.diff(qpos)) / (np.std(qpos) * np.sqrt(2)))
     if len(qpos) <= 20 or ratio <= NOISE:
         return None
-    return (
-        "noise",
-        True,
-        f"qpos{of} jumps between samples like noise ({100 * ratio:.0f} % of white noise), expected a motion; check "
-        "data.columns.qpos and the sensor, or record faster, with a data.clean.step no longer than the sample interval",
-    )
+    text = f"qpos{of} jumps between samples like noise ({100 * ratio:.0f} % of white noise), expected a motion; check "
+    text += "data.columns.qpos and the sensor, or record faster, with a data.clean.step no longer than the sample "
+    text += "interval"
+    return Finding("noise", True, text)
 
 
-def _find_wrapping(of: str, qpos: Signal) -> Said | None:
+def _find_wrapping(of: str, qpos: Signal) -> Finding | None:
     steps = np.diff(qpos)
     turns = np.abs(np.abs(steps) - 2 * np.pi) < 0.1 * np.pi
     if not turns.any() or np.median(np.abs(steps)) >= 0.1:
         return None
-    return (
-        "wrapping",
-        True,
-        f"qpos{of} jumps by a whole turn {turns.sum()} times, first at sample {int(np.argmax(turns)) + 1}, "
-        "expected a continuous angle; set data.clean.wrap=6.283185307179586",
-        (Repair("data.clean.wrap", math.tau),),
-    )
-
-
-def _find_coarse(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
-    """Find a motion that neighbouring samples do not predict: it may be aliased."""
-    apart = _apart(qpos)
-    if apart > COARSE:
-        yield (
-            "coarse",
-            False,
-            f"qpos{of} differs from an interpolation of its neighbouring samples by {100 * apart:.0f} % of its spread: "
-            "it is sampled too slowly and may be aliased; record faster, or set a shorter data.clean.step",
-        )
+    text = f"qpos{of} jumps by a whole turn {turns.sum()} times, first at sample {int(np.argmax(turns)) + 1}, expected "
+    text += "a continuous angle; set data.clean.wrap=6.283185307179586"
+    return Finding("wrapping", True, text, repairs=(Repair("data.clean.wrap", math.tau),))
 
 
 def _apart(qpos: Signal) -> float:
@@ -151,23 +128,20 @@ def _apart(qpos: Signal) -> float:
     return float(np.sqrt(np.mean((qpos[3:-3] - interpolated) ** 2)) / np.std(qpos))
 
 
-def _find_frozen(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
+def _find_frozen(of: str, qpos: Signal) -> Iterator[Finding]:
     """Find a position that stays constant and then jumps."""
     steps, quantum = np.abs(np.diff(qpos)), find_quantum(qpos) or 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0, [False]]).astype(int)))
     usual = float(np.quantile(steps, 0.99))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         if last - first >= FROZEN and last < len(steps) and steps[last] > max(JUMP * usual, 3 * quantum):
-            yield (
-                "frozen",
-                False,
-                f"qpos{of} is constant from sample {first} on and jumps by {steps[last]:.3g} at sample {last + 1}: "
-                "the sensor seems to freeze; cut this part out of the recording",
-            )
+            text = f"qpos{of} is constant from sample {first} on and jumps by {steps[last]:.3g} at sample {last + 1}: "
+            text += "the sensor seems to freeze; cut this part out of the recording"
+            yield Finding("frozen", False, text)
             return
 
 
-def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[tuple[str, bool, str]]:
+def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[Finding]:
     """Find an angle that seems to be in degrees, by its range, the encoder step and the limits of the file."""
     span, low, high = float(np.ptp(qpos)), *limits
     degrees = np.radians(qpos)
@@ -180,16 +154,12 @@ def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[tuple[str
     counts = quantum is not None and _is_step(quantum, 360.0) and not _is_step(quantum, math.tau)
     if span <= TURNS * math.tau and not (inside and counts):
         return
-    why = (["its encoder step divides 360"] if counts else []) + (
-        ["only as degrees it is within the joint's limits"] if inside else []
-    )
-    yield (
-        "degrees",
-        bool(why),
-        f"qpos{of} spans {span / math.tau:.3g} turns{'; ' + ', '.join(why) if why else ''}: it looks like degrees; set "
-        "data.units.qpos=deg (also for qvel and a desired position), or, if measured before a gear, the gear ratio, as "
-        "in data.units.qpos=0.02",
-    )
+    why = ["its encoder step divides 360"] if counts else []
+    why += ["only as degrees it is within the joint's limits"] if inside else []
+    text = f"qpos{of} spans {span / math.tau:.3g} turns{'; ' + ', '.join(why) if why else ''}: it looks like degrees; "
+    text += "set data.units.qpos=deg (also for qvel and a desired position), or, if measured before a gear, the gear "
+    text += "ratio, as in data.units.qpos=0.02"
+    yield Finding("degrees", bool(why), text)
 
 
 def _is_step(quantum: float, turn: float) -> bool:
@@ -197,91 +167,63 @@ def _is_step(quantum: float, turn: float) -> bool:
     return round(bits) in BITS and abs(turn / 2 ** round(bits) / quantum - 1) < EXACT
 
 
-def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, bool, str]]:
+def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[Finding]:
     """Find a slide with an implausible range or speed."""
     span, speed = float(np.ptp(qpos)), float(np.quantile(np.abs(qvel), 0.99))
     if span > STROKE or speed > FAST:
-        yield (
-            "stroke",
-            speed > FAST,
-            f"qpos{of} moves by {span:.3g} m at up to {speed:.3g} m/s: it looks like millimetres; set "
-            "data.units.qpos=mm (also for qvel and a desired position)",
-        )
+        text = f"qpos{of} moves by {span:.3g} m at up to {speed:.3g} m/s: it looks like millimetres; set "
+        text += "data.units.qpos=mm (also for qvel and a desired position)"
+        yield Finding("stroke", speed > FAST, text)
 
 
-def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[Said]:
+def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[Finding]:
     """Compare the measured velocity of a joint that moves with the derivative of its position."""
     estimate, repairs = "set data.clean.velocity=estimated", (Repair("data.clean.velocity", "estimated"),)
     if joint in log.without_velocity:
         if not log.velocity_estimated:
             hint = "if another column has it, set data.columns.qvel"
-            yield "velocity", False, f"the recorded velocity{of} is not used, but estimated from qpos; {hint}"
+            yield Finding("velocity", False, f"the recorded velocity{of} is not used, but estimated from qpos; {hint}")
         return
     if not np.ptp(qvel) > 0:
-        yield (
-            "velocity",
-            True,
-            f"qvel{of} is constant, expected the velocity of a joint that moves; {estimate}",
-            repairs,
-        )
+        text = f"qvel{of} is constant, expected the velocity of a joint that moves; {estimate}"
+        yield Finding("velocity", True, text, repairs=repairs)
         return
     lag_and_scale = find_velocity_lag(log.time, qpos, qvel)
     if lag_and_scale is None and find_velocity_lag(log.time, qpos, -qvel) is not None:
-        yield (
-            "velocity sign",
-            True,
-            f"qvel{of} and the position's derivative have opposite signs, expected the same; set data.sign.qvel=-1, or "
-            "data.sign.qpos=-1 if that suits the command",
-        )
+        text = f"qvel{of} and the position's derivative have opposite signs, expected the same; set data.sign.qvel=-1, "
+        text += "or data.sign.qpos=-1 if that suits the command"
+        yield Finding("velocity sign", True, text)
     elif lag_and_scale is None and len(qpos) > SHORT:
         derived = derive_velocity(log.time, qpos)
         length = min(len(derived), len(qvel))
         likeness = compare(qvel[:length], derived[:length], log.timestep, np.ones(length, bool))
         correlation = likeness.between(-LONGEST_LAG, LONGEST_LAG).correlation.max()
         # If a joint hardly moves, both are noise.
-        yield (
-            "velocity",
-            bool(correlation < UNLIKE and _apart(qpos) < SMOOTH),
-            f"qvel{of} does not match the position's derivative: check for swapped columns (data.columns.qvel), "
-            f"or {estimate}",
-            repairs,
-        )
+        text = f"qvel{of} does not match the position's derivative: check for swapped columns (data.columns.qvel), "
+        text += f"or {estimate}"
+        yield Finding("velocity", bool(correlation < UNLIKE and _apart(qpos) < SMOOTH), text, repairs=repairs)
     elif lag_and_scale is not None:
-        yield from _find_late_velocity(log, of, lag_and_scale[0])
-        yield from _find_velocity_unit(of, lag_and_scale[1])
-
-
-def _find_late_velocity(log: Log, of: str, lag: float) -> Iterator[Said]:
-    if abs(lag) > max(LAGGING, 0.75 * log.timestep):
-        late, other = ("qvel", "qpos") if lag > 0 else ("qpos", "qvel")
-        yield (
-            "lag",
-            False,
-            f"{late}{of} lags {other} by {1e3 * abs(lag):.3g} ms; set data.clean.velocity_lag=auto or "
-            f"data.clean.velocity=estimated{', and identify bench.params.delay' if late == 'qpos' else ''}",
-            (Repair("data.clean.velocity_lag", "auto") if lag > 0 else Repair("data.clean.velocity", "estimated"),),
-        )
-
-
-def _find_velocity_unit(of: str, scale: float) -> Iterator[Said]:
-    if abs(scale - 1) > UNITS:
-        other = _suggest(scale)
-        yield (
-            "units",
-            not 1 / OTHER_UNITS < scale < OTHER_UNITS,
-            f"qvel{of} is {scale:.4g} times the position's derivative: check the units of time, qpos and qvel "
-            f"(data.units{other}), or set data.clean.velocity=estimated",
-            () if other else (Repair("data.clean.velocity", "estimated"),),
-        )
+        lag, scale = lag_and_scale
+        if abs(lag) > max(LAGGING, 0.75 * log.timestep):
+            late, other = ("qvel", "qpos") if lag > 0 else ("qpos", "qvel")
+            text = f"{late}{of} lags {other} by {1e3 * abs(lag):.3g} ms; set data.clean.velocity_lag=auto or "
+            text += f"data.clean.velocity=estimated{', and identify bench.params.delay' if late == 'qpos' else ''}"
+            removal = (Repair("data.clean.velocity_lag", "auto"),) if lag > 0 else repairs
+            yield Finding("lag", False, text, repairs=removal)
+        if abs(scale - 1) > UNITS:
+            unit = _suggest(scale)
+            text = f"qvel{of} is {scale:.4g} times the position's derivative: check the units of time, qpos and qvel "
+            text += f"(data.units{unit}), or set data.clean.velocity=estimated"
+            is_certain = not 1 / OTHER_UNITS < scale < OTHER_UNITS
+            yield Finding("units", is_certain, text, repairs=() if unit else repairs)
 
 
 def _suggest(scale: float) -> str:
     """Return the unit option that explains a velocity of `scale` times the position's derivative; empty if none."""
     for factor, unit in FACTORS.items():
         if abs(scale / factor - 1) < UNITS:
-            return f", such as data.units.qvel={unit}{'' if unit == 'rpm' else '/s'}" + (
-                " or data.units.time=ms" if unit == "mm" else ""
-            )
+            or_time = " or data.units.time=ms" if unit == "mm" else ""
+            return f", such as data.units.qvel={unit}{'' if unit == 'rpm' else '/s'}{or_time}"
         if abs(scale * factor - 1) < UNITS and unit != "rpm":
             return f", such as data.units.qpos={unit}"
     return ""

@@ -83,7 +83,10 @@ def survey_recordings(
         "schema_version": SCHEMA_VERSION,
         "version": __version__,
         "data": _describe_data(name, recordings),
-        "units": {name: _say_unit(name, joint_type) for name in ("position", "velocity")},
+        "units": {
+            dimension: " or ".join(units[dimension] for kind, units in UNITS.items() if joint_type in (None, kind))
+            for dimension in ("position", "velocity")
+        },
         "timing": _pool_timing(diagnoses),
         "joints": [{"name": names[joint]} | _pool_joint(recordings, diagnoses, joint) for joint in range(joints)],
         "columns": describe_columns(recordings, names),
@@ -102,10 +105,6 @@ def survey_recordings(
 def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "samples"]:
     """Return the velocities of a joint in all recordings, estimated from the position [rad/s or m/s]."""
     return np.concatenate([derive_velocity(r.time, repair_spikes(r.signals["qpos"][:, joint])) for r in recordings])
-
-
-def _say_unit(dimension: str, joint_type: str | None) -> str:
-    return " or ".join(units[dimension] for kind, units in UNITS.items() if joint_type in (None, kind))
 
 
 def _as_recording(log: Log) -> Recording:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from frictionzoo.core.log import JITTER
-from frictionzoo.diagnostics.check import Check
+from frictionzoo.diagnostics.findings import Check
 
 SAME = 1e-3  # relative difference of sample intervals above which recordings cannot be fitted together
 UNITS = 0.1  # relative difference of measured velocity and derivative above which their units are suspect

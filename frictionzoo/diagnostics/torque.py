@@ -7,8 +7,8 @@ import numpy as np
 from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
 from frictionzoo.diagnostics.balance import Balance, Explained, delayed
-from frictionzoo.diagnostics.findings import Finding, Repair, Said, identify_delay, say_sign, turn
-from frictionzoo.diagnostics.lags import WINDOWS, find_drift, pick_lag, say_drift
+from frictionzoo.diagnostics.findings import Finding, Repair, say_sign, turn
+from frictionzoo.diagnostics.lags import WINDOWS, find_drift, find_shift, pick_lag
 
 KNOWN = 0.1  # relative standard error below which a share counts as known
 TIMES = 3.0  # factor between actuator torque and links' torque above which gear ratio or unit is wrong
@@ -40,10 +40,10 @@ def check_torque(
     for joint, regression in enumerate(explained):
         if regression is not None and not shifts:
             for fault in _check_joint(bench, joint, regression, to_position):
-                yield Finding.of(fault, log.name, bench.joints[joint])
+                yield fault._replace(log=log.name, joint=bench.joints[joint])
 
 
-def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[Said]:
+def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[Finding]:
     """Check sign and scale of a joint's torque against its links' torque, or its inertia."""
     of = f" of {bench.joints[joint]}" if bench.nv > 1 else ""
     if any(param.is_identified for name, param in bench.actuator.params.items() if name not in OFFSETS):
@@ -52,22 +52,15 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
         if one.share < 0:
             turned = ("qpos", "qvel", "ctrl") if to_position else ("ctrl",)
             signals = "data.sign.qpos, data.sign.qvel and data.sign.ctrl" if to_position else "data.sign.ctrl"
-            yield (
-                "opposed",
-                True,
-                f"ctrl{of} gives the opposite of the torque that gravity and inertia need ({one.share:.3g} times), "
-                f"expected the same sign; set {signals}={say_sign(joint, bench.nv)}, or check gravity and the joint's "
-                "axis in the MJCF",
-                turn(joint, *turned),
-            )
+            text = f"ctrl{of} gives the opposite of the torque that gravity and inertia need ({one.share:.3g} times), "
+            text += f"expected the same sign; set {signals}={say_sign(joint, bench.nv)}, or check gravity and the "
+            text += "joint's axis in the MJCF"
+            yield Finding("opposed", True, text, repairs=turn(joint, *turned))
         elif one.links > MATTERS * one.left and not 1 / TIMES < one.share < TIMES:
-            yield (
-                "torque",
-                not 1 / TIMES**2 < one.share < TIMES**2,
-                f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear "
-                f"ratio is missing, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}",
-                _scale_torque(bench, joint, 1 / one.share),
-            )
+            text = f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear "
+            text += f"ratio is missing, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}"
+            repairs = _scale_torque(bench, joint, 1 / one.share)
+            yield Finding("torque", not 1 / TIMES**2 < one.share < TIMES**2, text, repairs=repairs)
     elif np.isnan(one.share) and one.left < PLAIN and one.inertia_error < KNOWN * abs(one.inertia):
         yield from _check_inertia(bench, joint, of, one)
 
@@ -93,27 +86,21 @@ def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[Repair, ...]
     return tuple(Repair(f"bench.actuator.params.{n}.init", rounded, joint, is_factor=True) for n in _name_gains(bench))
 
 
-def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterator[Said]:
+def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterator[Finding]:
     """Check the inertia of a joint without a load by the acceleration that the torque would give it."""
     slide = bench.joint_type == "slide"
     if one.inertia < 0:
-        yield (
-            "opposed",
-            True,
-            f"ctrl{of} gives a torque opposite to the acceleration, expected the same sign; set data.sign.ctrl="
-            f"{say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
-            turn(joint, "ctrl"),
-        )
+        text = f"ctrl{of} gives a torque opposite to the acceleration, expected the same sign; set "
+        text += f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel"
+        yield Finding("opposed", True, text, repairs=turn(joint, "ctrl"))
     elif not SLOWEST[bench.joint_type] < one.acceleration < FASTEST[bench.joint_type]:
         unit, per = ("kg", "m/s^2") if slide else ("kg m^2", "rad/s^2")
         fast = one.acceleration > SLOWEST[bench.joint_type]
-        yield (
-            "inertia",
-            False,
-            f"the torque{of} accelerates an inertia of {one.inertia:.3g} {unit} by up to {one.acceleration:.3g} {per}, "
-            f"expected {SLOWEST[bench.joint_type]:g} to {FASTEST[bench.joint_type]:g} {per}: qpos or ctrl has another "
-            f"unit; set data.units.qpos{('=mm' if slide else '=deg') if fast else ''} or data.units.ctrl",
-        )
+        text = f"the torque{of} accelerates an inertia of {one.inertia:.3g} {unit} by up to {one.acceleration:.3g} "
+        text += f"{per}, expected {SLOWEST[bench.joint_type]:g} to {FASTEST[bench.joint_type]:g} {per}: qpos or ctrl "
+        text += f"has another unit; set data.units.qpos{('=mm' if slide else '=deg') if fast else ''} or "
+        text += "data.units.ctrl"
+        yield Finding("inertia", False, text)
 
 
 def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
@@ -125,35 +112,15 @@ def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None])
     if not len(lags):
         return
     lag, usual = float(lags[misfit.argmin()]), misfit[(lags >= -EARLY) & (lags <= LATE)]
-    drift = find_drift(
-        [_window_lag(log, found, joints, rows) for rows in np.array_split(np.arange(len(found.torque)), WINDOWS)]
-    )
+    windows = np.array_split(np.arange(len(found.torque)), WINDOWS)
+    drift = find_drift([_window_lag(found, joints, rows) for rows in windows])
     if drift is not None:
-        yield Finding("drift", False, say_drift(drift), log.name)
-    elif misfit.min() > LEFT:
-        return
-    elif lag < -EARLY and misfit.min() < MUCH_BETTER * usual.min():
-        yield Finding(
-            "early",
-            True,
-            f"the motion is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
-            f"data.clean.command_lag={-lag:.2g} (s)",
-            log.name,
-            repairs=(Repair("data.clean.command_lag", float(f"{-lag:.2g}")),),
-        )
-    elif lag > LATE and misfit.min() < MUCH_BETTER * usual.min():
-        yield Finding(
-            "late",
-            False,
-            f"the motion lags ctrl by {1e3 * lag:.3g} ms: identify bench.params.delay "
-            f"(bench.params.delay.identify=true and bench.params.delay.high={1.5 * lag:.2g}), or check that the "
-            "columns have the same times",
-            log.name,
-            repairs=identify_delay(lag),
-        )
+        yield drift._replace(log=log.name)
+    elif misfit.min() <= LEFT and not -EARLY <= lag <= LATE and misfit.min() < MUCH_BETTER * usual.min():
+        yield find_shift("the motion", lag)._replace(log=log.name)
 
 
-def _window_lag(log: Log, found: Balance, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:
+def _window_lag(found: Balance, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:
     lags, misfit = delayed(found, joints, slice(rows[0], rows[-1] + 1))
     lag = pick_lag(lags, misfit) if len(lags) > 2 else None
     return None if lag is None else (float(found.when[rows].mean()), lag)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.telling import say_percent
-from frictionzoo.diagnostics.check import Check
+from frictionzoo.diagnostics.findings import Check
 from frictionzoo.report.run_page import list_uses
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS

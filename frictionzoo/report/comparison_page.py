@@ -12,7 +12,7 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.output import RESULT, write_atomically
-from frictionzoo.diagnostics.check import Check
+from frictionzoo.diagnostics.findings import Check
 from frictionzoo.report.colors import DARK
 from frictionzoo.report.comparison_advice import check_order, list_next_steps, list_steps_to_use
 from frictionzoo.report.comparison_plots import Look, choose_looks, plot_comparison

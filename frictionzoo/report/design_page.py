@@ -12,7 +12,7 @@ from frictionzoo.bench.limits import Motion
 from frictionzoo.core.anonymous import list_paths, list_paths_in, without_paths
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.telling import say_percent
-from frictionzoo.diagnostics.check import Check
+from frictionzoo.diagnostics.findings import Check
 from frictionzoo.report.colors import BASELINE, BEST, MODEL
 from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe, frame
 from frictionzoo.report.page import render_page

@@ -12,7 +12,7 @@ import numpy as np
 
 from frictionzoo.core.telling import say_percent
 from frictionzoo.core.templates import open_template
-from frictionzoo.diagnostics.check import Check
+from frictionzoo.diagnostics.findings import Check
 from frictionzoo.report import with_plotly
 from frictionzoo.report.colors import DARK
 from frictionzoo.report.figure import Figure

@@ -11,7 +11,7 @@ import numpy as np
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.jobs import read_begun
 from frictionzoo.core.output import write_atomically
-from frictionzoo.diagnostics.check import Check
+from frictionzoo.diagnostics.findings import Check
 from frictionzoo.report.page import pack_library, render_page
 from frictionzoo.report.rollouts import say_where
 from frictionzoo.report.run_plots import choose_rollouts, plot_run

@@ -81,11 +81,8 @@ def _check_sizes_4(name: str, content: bytes) -> None:
         if len(header) < HEADER_4.size:
             raise LogError(f"{name}: ends within the header of a variable; copy or export it again")
         kind, rows, columns, is_complex, letters = struct.unpack(f"{order}5i", header)
-        machine, numbers, is_known = (
-            kind // 1000,
-            kind // 10 % 10,
-            kind >= 0 and kind % 10 <= 2 and not kind // 100 % 10,
-        )
+        machine, numbers = kind // 1000, kind // 10 % 10
+        is_known = kind >= 0 and kind % 10 <= 2 and not kind // 100 % 10
         if not is_known or numbers >= len(BYTES_4) or min(rows, columns) < 0 or is_complex not in (0, 1) or letters < 1:
             raise LogError(f"{name}: no MATLAB file of version 4 to 7; expected one; in MATLAB: save(..., '-v7')")
         if machine > 1:
