@@ -225,6 +225,8 @@ def test_repairs_of_many_logs_are_summed_up():
         ("wrap", 0.0, "a positive angle in rad"),
         ("order", 0, "1 to 20"),
         ("velocity_lag", "automatic", "a time in s, auto or null"),
+        ("velocity_lag", np.nan, "a time in s, auto or null"),
+        ("command_lag", np.nan, "a time in s, or null"),
         ("shortest", -1.0, "from 0 on"),
     ],
 )
