@@ -1,5 +1,7 @@
 """Columns of recordings reach the joints that they name, whatever their order and spelling, or are refused."""
 
+import contextlib
+import itertools
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +17,8 @@ from frictionzoo.core.errors import BenchError, ConfigError, LogError
 from frictionzoo.core.log import Columns
 from frictionzoo.data.files import Files
 from frictionzoo.data.pairing import arrange, describe_columns, label, pair
+from frictionzoo.data.propose import propose
+from frictionzoo.data.recording import Table
 
 GO2 = tuple(f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf"))
 SPELLINGS: dict[str, Callable[[str], str]] = {
@@ -332,3 +336,18 @@ def test_a_signal_of_some_joints_is_refused_by_its_option(tmp_path, signal):
     if signal != "ctrl":
         (recording,) = Files(train=[path], columns={signal: []}).for_joints(GO2).recordings()
         assert signal not in recording.signals
+
+
+HEADERS = ("qpos_{}", "position_{}", "hip_position", "effort_{}", "effort", "velocity_command", "velocity_command_{}")
+HEADERS += ("torque_command", "torque_command_{}", "tau_1", "tau_2", "command", "ctrl_{}", "kp_{}", "kd")
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(HEADERS), st.booleans()), min_size=1, max_size=8))
+def test_whatever_headers_name_joints_are_paired_or_refused(chosen: list[tuple[str, bool]]) -> None:
+    joints, rng = ("hip", "knee"), np.random.default_rng(0)
+    headers = dict.fromkeys(text.format(joint) for text, both in chosen for joint in (joints if both else joints[:1]))
+    columns = {"time": 0.01 * np.arange(20), **{header: rng.normal(size=20) for header in headers}}
+    with contextlib.suppress(LogError):
+        found = propose(Table("a", columns, sha256="0" * 64), joints).columns
+        assert {*itertools.chain(*found.values())} <= {*columns}

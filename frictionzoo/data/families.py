@@ -76,19 +76,20 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
         if header not in table.times.values() and (role := find_signal(words)):
             signal, rank = role
             families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
-    # Families without joint names belong to other joints.
-    families = {
-        signal: {key: headers for key, headers in found.items() if headers[0] in names} or found
-        for signal, found in families.items()
-    }
+    families = {signal: _prefer_named(found, names) for signal, found in families.items()}
     efforts = families.pop("effort", {})
     families |= {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in ("kp", "kd")}
     if "ctrl" not in families:  # a drive with a velocity or torque command, or a torque as the only input
         commands = families.pop("ctrl_velocity", {}) | families.pop("ctrl_torque", {}) | efforts
-        return families | ({"ctrl": commands} if commands else {})
+        return families | ({"ctrl": _prefer_named(commands, names)} if commands else {})
     usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
     usable["torque"] = _keep_usable(table, "torque", _pick_torque(efforts))
     return {**families, "ctrl": _prefer_moving(table, families["ctrl"]), **usable}
+
+
+def _prefer_named(found: Families, names: Mapping[str, Named]) -> Families:
+    """Return the families with joint names, or all if none has: those without belong to other joints."""
+    return {key: headers for key, headers in found.items() if headers[0] in names} or found
 
 
 def _prefer_moving(table: Table, found: Families) -> Families:
