@@ -310,7 +310,7 @@ def _section(root: ET.Element, tag: str) -> ET.Element:
     return ET.SubElement(root, tag) if section is None else section
 
 
-def joint_type(kind: int) -> str:
+def joint_type(kind: int | np.integer) -> str:
     """Return the MJCF's name of a compiled joint's type: `free`, `ball`, `slide` or `hinge`."""
     return mujoco.mjtJoint(int(kind)).name.removeprefix("mjJNT_").lower()
 

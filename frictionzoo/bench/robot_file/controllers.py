@@ -75,7 +75,7 @@ def clip_range(inner: tuple[float, float], outer: tuple[float, float]) -> tuple[
     return float(low), float(high)
 
 
-def range_of(ends: np.ndarray, limited: bool) -> tuple[float, float]:
+def range_of(ends: np.ndarray, limited: bool | np.bool_) -> tuple[float, float]:
     """Return a range from its ends in the compiled model; NaN if it is not limited."""
     return (float(ends[0]), float(ends[1])) if limited else (np.nan, np.nan)
 
