@@ -17,7 +17,7 @@ from frictionzoo.cli.finished import distill as main
 from frictionzoo.cli.finished import export
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit import Objective
+from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.result.comparison.record import compare_runs
@@ -126,7 +126,7 @@ def test_a_networks_student_is_a_run(finished_run: Callable, distill: Callable, 
 def test_the_fit_suits_the_size_of_the_model(make: Callable[..., Any]) -> None:
     auto, lm = make("fit", "fit=auto"), make("fit", "fit=lm")
     objectives = [
-        Mock(Objective, space=Mock(start=np.zeros(weights), names=["weight"]), torch_law=torch_law)
+        Mock(Objective, space=Mock(Space, start=np.zeros(weights), names=["weight"]), torch_law=torch_law)
         for weights, torch_law in ((MOST_COORDINATES, False), (MOST_COORDINATES + 1, False), (1, True))
     ]
     assert [type(auto.choose(objective)) for objective in objectives] == [LevenbergMarquardt, Adam, Adam]

@@ -179,7 +179,7 @@ def _draw(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) 
     low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [[-3.0, 3.0]]).T
     data.ctrl[:] = (low + high) / 2 + (high - low) * rng.uniform(-1, 1, model.nu)
     for index in np.flatnonzero((model.actuator_actnum == 1) & (model.actuator_ctrlnum > 0)):
-        ctrl = model.actuator_ctrladr[index]
+        ctrl = int(model.actuator_ctrladr[index])
         data.act[model.actuator_actadr[index]] = _within(data.ctrl[ctrl], ctrlrange(model, ctrl))
     for stage in (mujoco.mj_fwdPosition, mujoco.mj_fwdVelocity, mujoco.mj_fwdActuation):
         stage(model, data)
