@@ -261,7 +261,9 @@ def test_reference_is_kept_for_the_same_objective_alone(tmp_path: Path, monkeypa
 
 def test_reverse_mode_through_a_loop_is_refused() -> None:
     objective = pose("mujoco_default").objective
-    objective._rollout = replace(objective._rollout, reverse=False)
+    engine = copy.copy(objective._rollout.engine)
+    engine.reverse = False
+    objective._rollout = replace(objective._rollout, engine=engine)
     with pytest.raises(ConfigError, match=r"fit\.derivative=reverse: engine=mjx .*; set fit\.derivative=forward"):
         objective.value_and_grad("reverse")
 

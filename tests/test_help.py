@@ -116,7 +116,7 @@ def check_example(name: str, *rest: str) -> None:
     if name == "inspect":
         return assert_composes(_name_files([*rest]))
     parsed = list_command._parse([*rest]) if name == "list" else parse(name, rest)
-    options = read_options(getattr(parsed, "options", []), "KEY=VALUE")
+    options = read_options([text for text in getattr(parsed, "options", []) if "=" in text], "KEY=VALUE")
     assert options.get("target", "mjcf") in target_names()
     assert (CONF_DIR / "model" / f"{options.get('model', 'lugre')}.yaml").exists()
 
