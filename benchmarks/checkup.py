@@ -22,8 +22,8 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.signals import estimate_velocity
-from frictionzoo.diagnostics import Finding, find_all
-from frictionzoo.diagnostics.recordings import takes_position
+from frictionzoo.diagnostics.findings import Finding
+from frictionzoo.diagnostics.recordings import find_all, takes_position
 
 FAULTY = ("twin_clean", "emps", "sts3215", "go2", "tx40")
 GOOD = ("go2", "sts3215", "xl330", "emps", "tx40", "kuka_lwr4", "twin", "twin_clean", "two_inertia")

@@ -14,12 +14,12 @@ from frictionzoo.bench.regressor import inverse_torque
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.twin import Twin
-from frictionzoo.diagnostics import check_up, find_all
 from frictionzoo.diagnostics.commands import takes_energy
 from frictionzoo.diagnostics.dataset import check_motion
 from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.diagnostics.following import Followed, check_following
 from frictionzoo.diagnostics.lags import compare
+from frictionzoo.diagnostics.recordings import check_up, find_all
 from frictionzoo.identification.solve import list_moving
 from frictionzoo.result.verdict import doubt_errors, doubt_reference, explain_failure
 

@@ -20,7 +20,7 @@ from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import Signals
-from frictionzoo.diagnostics import check_up
+from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulation import friction_of, make_engine

@@ -15,8 +15,8 @@ from omegaconf import OmegaConf
 from frictionzoo.bench import Bench
 from frictionzoo.bench.given import Given
 from frictionzoo.core.config import compose_config
-from frictionzoo.diagnostics import check_up
 from frictionzoo.diagnostics.findings import Repair
+from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.identification.commands import complete_options
 from frictionzoo.report.run_page import list_uses
 from frictionzoo.report.terminal import summarise

@@ -1,6 +1,1 @@
-"""Diagnostics of recordings and their bench before a fit."""
-
-from frictionzoo.diagnostics.findings import CHECKUPS, Finding
-from frictionzoo.diagnostics.recordings import check_up, find_all
-
-__all__ = ["CHECKUPS", "Finding", "check_up", "find_all"]
+"""Diagnostics of recordings and their bench before a fit; the survey of recordings needs no MuJoCo."""

@@ -23,8 +23,8 @@ from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.core.telling import align, list_columns
 from frictionzoo.data.pairing import describe_columns
-from frictionzoo.diagnostics import check_up
 from frictionzoo.diagnostics.findings import Doubt
+from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.motion import Recordings
