@@ -34,8 +34,8 @@ def blocks_of(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / page).read_text(), re.M | re.S)
 
 
-def write_recordings(folder: Path) -> None:
-    """What the pages speak of: a leg, an arm and a test stand, with recordings of each."""
+def write_robots(folder: Path) -> None:
+    """The leg and the arm of the tutorials, and a recording of each."""
     (leg,) = blocks_of("tutorials/leg.md", "xml")
     headers = {signal: [f"{signal}_hip", f"{signal}_knee"] for signal in ("qpos", "qvel", "ctrl")}
     (folder / "robot.xml").write_text(leg)
@@ -44,6 +44,10 @@ def write_recordings(folder: Path) -> None:
     record(folder / "leg.csv", fixed, LEG, gains, headers, seconds=20.0, noise=ENCODER, substeps=SUBSTEPS)
     (folder / "arm.xml").write_text(arm())
     record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)  # in the steps with which the page identifies it
+
+
+def write_stand(folder: Path) -> None:
+    """The test stand of the tutorials, and two recordings of it."""
     (folder / "stand.xml").write_text(STAND)
     headers, gains = {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}, {"kp": 15, "kd": 0.5}
     for seed, name in enumerate(("a.csv", "b.csv")):
@@ -52,12 +56,13 @@ def write_recordings(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def recordings(shared_folder: Path) -> Path:
-    """The folder of `write_recordings`, written once for all workers."""
+    """The folder with all of these, written once for all workers."""
     folder = shared_folder / "tutorials"
     with FileLock(folder.with_suffix(".lock")):
         if not folder.exists():
             (half := shared_folder / "half").mkdir()
-            write_recordings(half)
+            write_robots(half)
+            write_stand(half)
             half.rename(folder)
     return folder
 
