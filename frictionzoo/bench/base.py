@@ -96,7 +96,8 @@ class Bench(Described):
         integrator: str | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator, such as PositionPD(kp=15, kd=0.5)")
-        self.source, self.actuator = mjcf, actuator
+        self.source = mjcf
+        self.actuator = actuator
         self._start: dict[str, np.ndarray] = {}  # initial values that override `params`
         self.solreffriction: list[float] = read_solreffriction(solreffriction)
         if second_order not in (True, False, None, AUTO):
