@@ -99,3 +99,16 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 def test_every_room_is_a_folder_with_files() -> None:
     assert {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()} == {*ROOMS}
     assert all((PACKAGE / name / "__init__.py").exists() for name in ROOMS) and len(FILES) > 150
+
+
+def test_no_file_and_no_function_is_too_long() -> None:
+    """At most 400 lines a file, and 60 a function without its docstring."""
+    too_long = []
+    for file, path in FILES.items():
+        tree = ast.parse(source := path.read_text())
+        too_long += [file] if source.count("\n") > 400 else []
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
+                too_long += [f"{file}.{node.name}"] if (node.end_lineno or 0) - first.lineno >= 60 else []
+    assert not too_long

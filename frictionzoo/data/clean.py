@@ -13,7 +13,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import scipy.interpolate
 from jaxtyping import Bool, Float
 
 from frictionzoo.core.described import Described
@@ -22,7 +21,7 @@ from frictionzoo.core.log import JITTER, Log
 from frictionzoo.data.diagnose import refuse_incomplete
 from frictionzoo.data.recording import COMMANDS, HELD, SIGNALS, Recording
 from frictionzoo.data.signals import (
-    Signal,
+    FOLLOWED,
     check_filter,
     count_spikes,
     estimate_velocity,
@@ -30,6 +29,7 @@ from frictionzoo.data.signals import (
     find_outliers,
     find_velocity_lag,
     repair_spikes,
+    sample_signal,
 )
 from frictionzoo.data.velocity import compare_velocities, find_dead_velocities, of_joints
 
@@ -40,7 +40,6 @@ CHOICES: dict[str, tuple[str, ...]] = {
 }
 RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # resampling of these signals
 EXTRAS = tuple(signal for signal in SIGNALS if signal not in ("time", "qpos", "qvel", "ctrl"))
-FOLLOWED = 1e-6  # tolerance of equal times, as a share of the median interval
 MOST_FINER = 1000.0  # largest upsampling factor; more would only add samples
 FEWEST = 50  # fewest intervals that show whether times are rounded
 SEVERAL = 5  # fewest occurrences of each rounded interval; a gap may occur once
@@ -287,7 +286,7 @@ def _fill_nan(piece: Piece) -> Piece:
         if bad.any():
             method = "held" if name in HELD else "linear"
             pairs = zip(~bad.T, values.T, strict=True)
-            columns = [_sample(column[valid], piece.time[valid], piece.time, method) for valid, column in pairs]
+            columns = [sample_signal(column[valid], piece.time[valid], piece.time, method) for valid, column in pairs]
             filled[name] = np.where(bad, np.stack(columns, axis=1), values)
             sentences.append(f"NaN samples of {name} interpolated: {bad.any(axis=1).sum()}")
     return replace(piece, signals=filled).say(*sentences) if sentences else piece
@@ -315,7 +314,9 @@ def _shift(piece: Piece, name: str, option: str, signals: Sequence[str], lag: fl
     kept = (later >= piece.time[0]) & (later <= piece.time[-1])
     if kept.sum() < 2:
         raise LogError(f"{name}: shorter than data.clean.{option}={lag:g} s; set a smaller one")
-    shifted = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], method) for signal in signals}
+    shifted = {
+        signal: _each(sample_signal, piece.signals[signal], piece.time, later[kept], method) for signal in signals
+    }
     cut = piece.keep(kept)
     between = "" if method == "held" else f", {method} between samples"
     sentence = f"{', '.join(signals)} shifted {lag:.4g} s earlier{between}"
@@ -354,7 +355,7 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
         raise LogError(f"{name}: shorter than data.clean.step={step:g} s; set a smaller one, or omit it")
     grid = piece.time[0] + step * np.arange(samples)
     signals = {
-        name: _each(_sample, values, piece.time, grid, RESAMPLED.get(name, cleaning.resample))
+        name: _each(sample_signal, values, piece.time, grid, RESAMPLED.get(name, cleaning.resample))
         for name, values in piece.signals.items()
     }
     missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
@@ -368,20 +369,6 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 def _each(change: Callable[..., np.ndarray], values: Float[np.ndarray, "time columns"], *more: Any) -> np.ndarray:
     return np.stack([change(column, *more) for column in values.T], axis=1)
-
-
-def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method: str) -> Float[np.ndarray, "grid"]:
-    if method == "held":
-        tolerance = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-        return values[np.maximum(np.searchsorted(time, at + tolerance, side="right") - 1, 0)]
-    if method == "cubic" and len(time) > 3:
-        return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
-    if method == "mean":  # of the held signal over each interval of the uniform grid
-        step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
-        edges = np.append(time, time[-1] + step)
-        integral = np.append(0.0, np.cumsum(values * np.diff(edges)))
-        return np.diff(np.interp(np.append(at, at[-1] + step), edges, integral)) / step
-    return np.interp(at, time, values)
 
 
 def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:

@@ -3,11 +3,13 @@
 import math
 
 import numpy as np
+import scipy.interpolate
 import scipy.signal
 from jaxtyping import Bool, Float, Int
 
 from frictionzoo.core.errors import ConfigError, LogError, refuse_outside
 
+FOLLOWED = 1e-6  # tolerance of equal times, as a share of the median interval
 GAP = 5.0  # median intervals; a longer interval is a gap
 SPIKE = 20.0  # least distance of a spike from both neighbours, in usual second differences
 FAR = 1.0  # least distance of an outlier from the range of the other samples, in ranges
@@ -221,3 +223,20 @@ def estimate_velocity(
 ) -> Signal:
     """Estimate velocity [rad/s or m/s] by `smooth` and central differences; arguments and errors as `smooth`."""
     return np.gradient(smooth(position, timestep, cutoff, order, name, option), timestep)
+
+
+def sample_signal(
+    values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method: str
+) -> Float[np.ndarray, "grid"]:
+    """Return a signal's values at other times [s]: `held`, `linear`, `cubic`, or the `mean` of the held signal."""
+    if method == "held":
+        tolerance = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        return values[np.maximum(np.searchsorted(time, at + tolerance, side="right") - 1, 0)]
+    if method == "cubic" and len(time) > 3:
+        return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
+    if method == "mean":  # of the held signal over each interval of the uniform grid
+        step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
+        edges = np.append(time, time[-1] + step)
+        integral = np.append(0.0, np.cumsum(values * np.diff(edges)))
+        return np.diff(np.interp(np.append(at, at[-1] + step), edges, integral)) / step
+    return np.interp(at, time, values)
