@@ -51,7 +51,7 @@ def write_stand(folder: Path) -> None:
     (folder / "stand.xml").write_text(STAND)
     headers, gains = {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}, {"kp": 15, "kd": 0.5}
     for seed, name in enumerate(("a.csv", "b.csv")):
-        record(folder / name, STAND, SHAFT, gains, headers, seconds=12.0, noise=ENCODER, seed=seed, substeps=SUBSTEPS)
+        record(folder / name, STAND, SHAFT, gains, headers, seconds=16.0, noise=ENCODER, seed=seed, substeps=SUBSTEPS)
 
 
 @pytest.fixture(scope="module")
