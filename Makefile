@@ -12,7 +12,7 @@ test: ## the quick tests
 	pytest -n 2
 
 slow: ## whole programs, and experiments in their small variants; FRICTIONZOO_DATA names the folder of real recordings
-	pytest -m slow -n 2
+	pytest -m slow -n 2 -rs
 
 reproduce: ## the experiments at full size, about an hour on two cores: checks their numbers and rewrites their tables
 	python experiments/reproduce.py

@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,6 +73,12 @@ def pytest_configure(config: pytest.Config) -> None:
         jax.config.update(UNOPTIMISED, True)
         older = " ".join(f"--{option}={str(value).lower()}" for option, value in FORWARD.items())
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {older}".strip()
+
+
+def pytest_runtest_setup() -> None:
+    """Tests that would begin after TESTS_UNTIL, a time in s since 1970, are skipped and listed."""
+    if time.time() > float(os.environ.get("TESTS_UNTIL", "inf")):
+        pytest.skip("not run: TESTS_UNTIL is over, as this machine is slower than usual; run `make slow`")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

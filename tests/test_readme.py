@@ -8,7 +8,7 @@ import shlex
 import subprocess
 
 import pytest
-from conftest import check_each
+from conftest import check_each, pytest_runtest_setup
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 from pages import PACKAGE, PAGES, ROOT, blocks_of, expand, inline_of
@@ -116,6 +116,13 @@ def test_a_missing_block_of_the_readme_stops_ci():
     shown = subprocess.run([ROOT / ".ci" / "readme_command", "99"], capture_output=True, text=True)
     assert shown.returncode == 1
     assert "no bash block number 99" in shown.stderr
+
+
+def test_tests_end_in_time_where_a_time_is_set(monkeypatch: pytest.MonkeyPatch):
+    pytest_runtest_setup()
+    monkeypatch.setenv("TESTS_UNTIL", "1e9")
+    with pytest.raises(pytest.skip.Exception, match="run `make slow`"):
+        pytest_runtest_setup()
 
 
 def test_the_schemas_of_json_files_are_made_from_their_types():
