@@ -321,7 +321,7 @@ def read_joints(joint: str | int | Sequence[str | int]) -> list[str]:
 
 
 def refuse_other_order(source: str, wanted: Sequence[str], names: Iterable[str]) -> None:
-    """Refuse joints in an order other than that of the `names` in the file `source`.
+    """Refuse joints whose order differs from `names` in the file `source`.
 
     The recording's columns follow `bench.joint`: another order would silently swap the joints.
 

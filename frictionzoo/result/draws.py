@@ -174,7 +174,7 @@ def predict_band(
     model error, and noise of the measured initial state. With n training rollouts, errors are multiplied by
     t sqrt(1 + 1 / n) / z, the ratio of Student's to the normal prediction interval.
 
-    The interval holds for motion like that of the training recordings, not for other kinds of motion or other loads.
+    The interval holds for motion like the training recordings, not for other kinds of motion or other loads.
 
     `place` names the drive in messages. `simulate` returns the positions in the rollouts, with some fitted values
     replaced by drawn ones, by full name; empty `draws`: fitted values only.

@@ -118,7 +118,7 @@ def read_robot(
 
 
 def refuse_other(option: str, value: str, choices: Sequence[str]) -> None:
-    """Refuse a value of an option that is none of the `choices`.
+    """Refuse a value of an option that is not one of the `choices`.
 
     Raises:
         ConfigError: The value is another.
