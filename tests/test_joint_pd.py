@@ -3,12 +3,10 @@
 import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulation import friction_of, make_engine
 from frictionzoo.simulation.proof import TOLERANCE, Recorded, initial_values, prove
-from frictionzoo.simulation.rollout import applied, make_rollout
+from frictionzoo.simulation.rollout import make_rollout
 
 LEG = """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="{}"><flag contact="disable"/></option>
   <worldbody><body><joint name="hip" axis="0 1 0"/><geom type="capsule" size=".03" fromto="0 0 0 0 0 -.2" mass="1.2"/>
@@ -209,15 +207,6 @@ def test_a_hidden_delay_of_all_commands_is_found(leg: Any, make: Any) -> None:
         np.testing.assert_allclose(found[name], truth[:1], rtol=1e-3, err_msg=name)
 
 
-def test_recorded_gains_are_late_too_and_what_is_measured_is_not() -> None:
-    sampling, column = Sampling(0.005, 5, 2, ("kp",)), np.arange(12.0)[None, :, None]
-    signals = Signals(jnp.asarray(column), {"kp": jnp.asarray(3 * column), "supply": jnp.asarray(column)})
-    acting = applied({"bench": {"delay": jnp.array([0.0075])}}, signals, sampling)
-    np.testing.assert_allclose(acting.inputs["kp"], 3 * acting.ctrl, rtol=1e-14)
-    np.testing.assert_allclose(acting.ctrl[0, :, :, 0].mean(axis=1), np.arange(10) + 0.5, rtol=1e-12)
-    np.testing.assert_array_equal(acting.inputs["supply"][0, :, 0, 0], np.arange(2, 12))
-
-
 def test_what_a_log_lacks_is_zero_and_said(leg: Any, caplog: pytest.LogCaptureFixture) -> None:
     bench: Bench = leg(fz.JointPD(**GAINS))
     columns = {
@@ -284,10 +273,3 @@ def test_a_rollout_in_torch_takes_what_is_given(leg: Any, make: Any) -> None:
     both, _ = fz.rollout(bench, law, *states, 2 * ctrl)
     torch.testing.assert_close(ahead, both)
     assert not torch.allclose(plain, both)
-
-
-def test_every_signal_is_cut_with_its_sample() -> None:
-    told = commands(40)
-    log = read({"time": STEP * SUBSTEPS * np.arange(40), "qpos": told["ctrl"], **told}).between(10, 20, "part")
-    for name in ("ctrl_velocity", "ctrl_torque"):
-        np.testing.assert_array_equal(log.extras[name], itemgetter(slice(10, 20))(told[name]))

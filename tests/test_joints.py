@@ -42,21 +42,17 @@ def test_a_pattern_stands_for_the_joints_that_it_fits_and_the_first_one_counts()
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"init": [0.1, 0.2]}, "kp.init: 2 values, expected 4, one a joint, or one for all"),
-        ({"init": {".*_hip": 0.1}}, "kp.init: no pattern of .*_hip fits FL_calf; add one, such as '.*', last"),
-        ({"init": {"(": 0.1}}, "kp.init: (: no pattern (missing ), unterminated subpattern at position 0)"),
-        (
-            {"init": {".*_hip": 0.1, ".*": 20.0}},
-            "kp: init=0.1, 20, 0.1, 20 lies outside low=0.0001, high=10; start inside",
-        ),
-        ({"identify": [True, 1, True, True]}, "kp.identify=[True, 1, True, True]; expected true or false"),
-        ({"tie": 3}, "kp.tie=3; expected true, false, or names of groups with patterns of joints"),
+        ({"init": [0.1, 0.2]}, r"kp\.init: 2 values, expected 4"),
+        ({"init": {".*_hip": 0.1}}, r"kp\.init: .* FL_calf"),
+        ({"init": {"(": 0.1}}, r"kp\.init: \(: no pattern"),
+        ({"init": {".*_hip": 0.1, ".*": 20.0}}, "kp: init=0.1, 20, 0.1, 20 lies outside"),
+        ({"identify": [True, 1, True, True]}, r"kp\.identify="),
+        ({"tie": 3}, r"kp\.tie=3"),
     ],
 )
 def test_what_fits_no_joint_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=message):
         param(**changes).for_joints(JOINTS)
-    assert str(caught.value).startswith(message)
 
 
 def test_a_quantity_that_some_joints_have_has_entries_for_these_alone() -> None:

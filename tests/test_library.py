@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from test_torch_only import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
-from frictionzoo.bench.sections import DEFAULTS
+from frictionzoo.bench.base import DEFAULTS
 from frictionzoo.core.errors import BenchError, ConfigError, ModelError, RunError, UnknownModelError
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import FrictionTerms, Signals

@@ -10,7 +10,7 @@ import torch
 from conftest import ROOT, check_each
 from omegaconf import OmegaConf
 
-from frictionzoo.bench.sections import DEFAULTS
+from frictionzoo.bench.base import DEFAULTS
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from frictionzoo.bench import Bench, DcMotorPD, VoltageServo
+from frictionzoo.bench import Bench, DcMotorPD
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Log, Payload
 from frictionzoo.core.segments import Sampling, cut_segments
@@ -62,8 +62,10 @@ def test_a_late_command_is_the_mean_of_what_was_held(substeps: int) -> None:
     command, history = wander(40, 0), 3
     before = np.concatenate([np.full(history, command[0]), command])
     column = jnp.arange(len(before), dtype=before.dtype)[None, :, None]
-    signals = Signals(jnp.asarray(before)[None, :, None], {"supply": column}, {"temperature": column})
-    sampling = Sampling(INTERVAL, substeps, history)
+    late_input = jnp.asarray(3 * before)[None, :, None]
+    inputs = {"supply": column, "kp": late_input}
+    signals = Signals(jnp.asarray(before)[None, :, None], inputs, {"temperature": column})
+    sampling = Sampling(INTERVAL, substeps, history, ("kp",))
     delays = np.array([0.0, 0.3, 0.8, 1.0, 2.0, 2.73, 3.0])  # in samples
     act = jax.jit(jax.vmap(lambda late: applied({"bench": {"delay": late[None]}}, signals, sampling)))
     acting = act(delays * INTERVAL)
@@ -73,6 +75,7 @@ def test_a_late_command_is_the_mean_of_what_was_held(substeps: int) -> None:
         starts = np.arange(40 * substeps) / substeps - late
         expected = [held(command, start, start + 1 / substeps) for start in starts]
         np.testing.assert_allclose(got.ctrl.ravel(), expected, rtol=0, atol=1e-12, err_msg=f"{late}")
+        np.testing.assert_allclose(got.inputs["kp"], 3 * got.ctrl, rtol=1e-14, atol=1e-14)
         # What is not a command is not late.
         for signal in (got.inputs["supply"], got.observed["temperature"]):
             np.testing.assert_array_equal(signal[0, :, 0, 0], np.arange(history, history + 40))
@@ -170,19 +173,6 @@ def test_a_dc_motor_has_less_torque_the_faster_it_turns() -> None:
         torque = law.control(np, sizes, np.array([0.0]), np.array([velocity]), np.array([10.0 * direction]), {})
         assert torque[0] == pytest.approx(expected)
     assert law.control(np, sizes, 0.0, 1.0, 0.02, {}) == pytest.approx(50 * 0.02 - 0.5)
-
-
-def test_what_the_law_needs_has_to_be_recorded(servo: Callable[..., Bench]) -> None:
-    log = record(wander(10, 0))
-    without = replace(log, extras={name: values for name, values in log.extras.items() if name != "supply"})
-    with pytest.raises(
-        BenchError, match=r"servo: no supply, which VoltageServo needs; .*data\.inputs=\{supply: VALUE\}"
-    ):
-        servo().accept(without)
-    accepted = servo().accept(log)
-    assert {name: signal.shape for name, signal in accepted.inputs.items()} == dict.fromkeys(
-        VoltageServo.inputs, (10, 1)
-    )
 
 
 def test_impossible_options_are_refused(servo: Callable[..., Bench]) -> None:

@@ -260,59 +260,48 @@ def test_an_engine_without_reverse_mode_says_so(tmp_path: Path) -> None:
 
 
 BALL = '<geom size="0.1"/>'
-ROD = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+ROD = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="j0" {}/>'
+TIED = '<tendon><fixed><joint joint="j0" coef="1"/></fixed></tendon>'
 
 
 @pytest.mark.parametrize(
-    ("body", "inside", "reason"),
+    ("joint", "geom", "inside", "reason"),
     [
-        (f'<body>{ROD}<joint name="j0" range="-1 1" limited="true"/></body>', "", "joint limits"),
-        (
-            f'<body>{ROD}<joint name="j0"/><geom size="0.1"/></body><body><geom size="0.1"/></body>',
-            "",
-            "geoms that can touch",
-        ),
-        (f'<body>{ROD}<joint name="j0"/></body>', '<equality><joint joint1="j0"/></equality>', "equality constraints"),
-        (
-            f'<body>{ROD}<joint name="j0"/></body>',
-            '<tendon><fixed><joint joint="j0" coef="1"/></fixed></tendon>',
-            "tendons",
-        ),
+        ('range="-1 1" limited="true"', "", "", "joint limits"),
+        ("", BALL, "", "geoms that can touch"),
+        ("", "", '<equality><joint joint1="j0"/></equality>', "equality constraints"),
+        ("", "", TIED, "tendons"),
     ],
 )
-def test_a_bench_with_other_constraints_goes_to_mjx(tmp_path: Path, body: str, inside: str, reason: str) -> None:
+def test_a_bench_with_other_constraints_goes_to_mjx(
+    tmp_path: Path, joint: str, geom: str, inside: str, reason: str
+) -> None:
+    body = f"<body>{ROD.format(joint)}{geom}</body><body>{geom}</body>"
     bench = make_bench(tmp_path, body, inside=inside)
     engine = make_engine("auto", bench, law(False), False)
-    assert engine.name == "mjx"
-    assert engine.note == f"specialised does not apply: {bench.source} has {reason}"
-    with pytest.raises(ConfigError, match=f"engine=specialised: .* has {reason}; set engine=auto"):
+    assert engine.name == "mjx" and reason in engine.note
+    with pytest.raises(ConfigError, match=f"engine=specialised: .* has {reason}"):
         make_engine("specialised", bench, law(False), False)
 
 
 JOINT = '<joint type="hinge"/>'
-TWO = f"<body>{JOINT}{BALL}<body>{JOINT}{BALL}</body></body>"
-THREE = f"<body>{JOINT}{BALL}<body>{JOINT}{BALL}<body>{JOINT}{BALL}</body></body></body>"
+# Geoms o of bodies in brackets, with a joint where j is.
+LINKS = ("[joo]", "o[jo]", "[o][jo]", "[jo[o]]", "[o[jo]]", "[jo[jo]]", "[jo[jo[jo]]]", "[jo][jo]")
 
 
 @pytest.mark.parametrize(
-    ("world", "geom", "flag"),
+    ("links", "geom", "flag"),
     [
-        (f"<body>{JOINT}{BALL}{BALL}</body>", "", ""),
-        (f"{BALL}<body>{JOINT}{BALL}</body>", "", ""),
-        (f"<body>{BALL}</body><body>{JOINT}{BALL}</body>", "", ""),
-        (f"<body>{JOINT}{BALL}<body>{BALL}</body></body>", "", ""),
-        (f"<body>{BALL}<body>{JOINT}{BALL}</body></body>", "", ""),
-        (TWO, "", ""),
-        (TWO, "", '<flag filterparent="disable"/>'),
-        (THREE, "", ""),
-        (f"<body>{JOINT}{BALL}</body><body>{JOINT}{BALL}</body>", "", ""),
-        (f"<body>{JOINT}{BALL}</body><body>{JOINT}{BALL}</body>", 'contype="0"', ""),
-        (f"<body>{JOINT}{BALL}</body><body>{JOINT}{BALL}</body>", 'contype="2" conaffinity="4"', ""),
+        *((links, "", "") for links in LINKS),
+        ("[jo[jo]]", "", '<flag filterparent="disable"/>'),
+        ("[jo][jo]", 'contype="0"', ""),
+        ("[jo][jo]", 'contype="2" conaffinity="4"', ""),
     ],
 )
-def test_geoms_can_touch_where_mujoco_c_finds_contacts(world: str, geom: str, flag: str) -> None:
+def test_geoms_can_touch_where_mujoco_c_finds_contacts(links: str, geom: str, flag: str) -> None:
     """All of them lie in the same place, so that those which may touch do."""
-    body = world.replace(BALL, f'<geom size="0.1" {geom}/>')
+    parts = {"[": "<body>", "]": "</body>", "j": JOINT, "o": f'<geom size="0.1" {geom}/>'}
+    body = "".join(parts[part] for part in links)
     model = mujoco.MjModel.from_xml_string(f"<mujoco><option>{flag}</option><worldbody>{body}</worldbody></mujoco>")
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -322,10 +311,10 @@ def test_geoms_can_touch_where_mujoco_c_finds_contacts(world: str, geom: str, fl
 def test_auto_says_what_it_chose(tmp_path: Path) -> None:
     bench = make_bench(tmp_path, f"<body>{BODIES['hinge with gravity']}</body>")
     engine = make_engine("auto", bench, law(False), False)
-    assert (engine.name, engine.note) == ("specialised", "the dynamics come down to 12 scalar operations")
+    assert engine.name == "specialised" and " 12 " in engine.note
     many = make_bench(tmp_path, chain(18), joints=18)
     engine = make_engine("auto", many, law(False), False)
-    assert (engine.name, engine.note.split(": ")[1]) == ("mjx", "18 joints are more than the 17 that were measured")
+    assert engine.name == "mjx" and "18 joints" in engine.note
     with pytest.raises(ConfigError, match=r"engine=special: no such engine; did you mean specialised\?"):
         make_engine("special", bench, law(False), False)
 

@@ -15,17 +15,25 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.delay import write_delay
-from frictionzoo.bench.sections import DEFAULTS, PARAMS, put_options
 from frictionzoo.bench.signals import pair_log, pick_inputs, pick_signals, refuse_columns, say_lacking
-from frictionzoo.bench.template import INTEGRATORS, Joints, Template, in_full, read_solreffriction
-from frictionzoo.core.build import build
-from frictionzoo.core.described import Described, describe
+from frictionzoo.bench.template import INTEGRATORS, Joints, Template, in_full, read_options, read_solreffriction
+from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.core.params import AUTO, LARGEST, Param, group_joints, read_params, read_tie, refuse_negative
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
+PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position", "torque_offset": "torque"}
+"""Dimension of each parameter of a bench."""
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True},
+    "delay": {"init": 0.0, "low": 0.0, "high": 0.1, "scale": 0.01, "identify": False},
+    "position_offset": {"init": 0.0, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": False},
+    "torque_offset": {"init": 0.0, "low": -20.0, "high": 20.0, "scale": 1.0, "identify": False},
+}
+"""Default sections of a bench's parameters: armature of a servo joint [kg m^2], no delay [s], no encoder offset
+[rad or m], no constant torque [N m or N]."""
 _MOST = 10_000  # simulation steps per sample, and samples of the longest delay of commands
 _OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # offset of a sensor or cable, phase of a gear
 
@@ -106,8 +114,8 @@ class Bench(Described):
         self.notes: tuple[str, ...] = ()
         self.inertia: Mapping[str, Sequence[float | int]] = inertia or {}
         self.gravity: Sequence[float | int] | None = gravity
-        self._template = self._open(mjcf, joint, timestep).with_inertia(self.inertia).with_gravity(gravity)
-        self._template = self._template.with_integrator(integrator)
+        options = read_options(timestep, gravity, integrator)
+        self._template: Template = self._open(mjcf, joint).with_inertia(self.inertia).with_options(options)
         self.joints: tuple[str, ...] = self._template.joints
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
@@ -127,8 +135,8 @@ class Bench(Described):
         self.observed: dict[str, float] = {}
         self._loads: dict[Payload, np.ndarray] = {}  # recordings often share a payload
 
-    def _open(self, mjcf: str, joint: Joints, timestep: float | str | None) -> Template:
-        return Template(mjcf, joint, timestep)
+    def _open(self, mjcf: str, joint: Joints) -> Template:
+        return Template.read(mjcf, joint)
 
     def _fill(self, params: Mapping[str, Param]) -> Mapping[str, Param]:
         """Return the parameters with missing values filled in; the base class has none to add."""
@@ -177,7 +185,7 @@ class Bench(Described):
 
     @property
     def is_stiff(self) -> bool:
-        """Whether the friction constraint is as stiff as MuJoCo allows: a time constant of at most two steps."""
+        """Whether the friction constraint is as stiff as MuJoCo allows, with a time constant of at most two steps."""
         return 0 < self.solreffriction[0] <= 2 * self.timestep * (1 + 1e-9)
 
     @cached_property
@@ -192,36 +200,34 @@ class Bench(Described):
             BenchError: MuJoCo does not compile the MJCF without the other branches.
         """
         names = tuple(self.joints[joint] for joint in joints)
-        other = self._around(self._template.only(names))
-        other.joints, other._tie = names, None
-        other.params = {name: param.only(joints) for name, param in self.params.items()}
-        other._start = {name: value[list(joints)] for name, value in self._start.items()}
-        other.own_damping = self.own_damping[list(joints)]
-        return other
+        return self._changed(
+            _template=self._template.only(names),
+            _tie=None,
+            _start={name: value[list(joints)] for name, value in self._start.items()},
+            joints=names,
+            params={name: param.only(joints) for name, param in self.params.items()},
+            own_damping=self.own_damping[list(joints)],
+        )
 
     def with_inertia(self, inertia: Mapping[str, Sequence[float | int]]) -> "Bench":
         """Return the bench with other link inertias, in the format of the argument `inertia`."""
         merged = {**self.inertia, **{name: list(map(float, parameters)) for name, parameters in inertia.items()}}
-        return self._around(self._template.with_inertia(inertia), inertia=merged)
+        return self._recorded(inertia=merged)._changed(_template=self._template.with_inertia(inertia))
 
     def with_gravity(self, gravity: Sequence[float | int]) -> "Bench":
         """Return the bench with another gravity [m/s^2]."""
-        return self._around(self._template.with_gravity(gravity), gravity=list(gravity))
+        template = self._template.with_options(read_options(gravity=gravity))
+        return self._recorded(gravity=list(gravity))._changed(_template=template)
 
-    def _around(self, template: Template, **changed: Any) -> "Bench":
+    def _recorded(self, **arguments: Any) -> "Bench":
+        """Return the bench with other arguments in its record, and as attributes."""
+        args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`
+        return self._changed(**arguments, _given=(args, kwargs | arguments))
+
+    def _changed(self, **attributes: Any) -> "Bench":
         other = copy.copy(self)
-        other._template, other._loads = template, {}
-        args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, for a complete record
-        vars(other).update(changed, _given=(args, kwargs | changed))
+        vars(other).update(attributes, _loads={})
         return other
-
-    def with_options(self, options: Mapping[str, Any]) -> "Bench":
-        """Return the bench with other options, such as `{"actuator.params.kp.init": 15.0}`, named without `bench.`.
-
-        Raises:
-            FrictionzooError: An option does not exist or has an invalid value.
-        """
-        return build(put_options(describe(self), options))
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
         """Return the bench with fitted values for a fit of another friction model; only the armature is free.
@@ -230,13 +236,10 @@ class Bench(Described):
         """
         armature = np.asarray(values["armature"])
         low, high = float(armature.min()) / 100, float(armature.max()) * 100
-        free = Param("armature", "inertia", float(armature[0]), low, high, scale="log", identify=True)
-        other = copy.copy(self)
-        known = {name: replace(param, identify=False) for name, param in self.params.items()}
-        other.params = known | {"armature": free}
-        other._tie = None
-        other._start = {name: np.array(value) for name, value in values.items()}
-        return other
+        params = {name: replace(param, identify=False) for name, param in self.params.items()}
+        params["armature"] = Param("armature", "inertia", float(armature[0]), low, high, scale="log", identify=True)
+        start = {name: np.array(value) for name, value in values.items()}
+        return self._changed(params=params, _tie=None, _start=start)
 
     def observing(self, inputs: Mapping[str, float]) -> "Bench":
         """Return the bench for a friction model with these `inputs` in addition to the state.
@@ -248,9 +251,7 @@ class Bench(Described):
         for name in inputs:
             if name not in recorded:
                 raise ConfigError(f"the friction model's input {name}: unknown; {closest(name, recorded)}")
-        other = copy.copy(self)
-        other.observed = dict(inputs)
-        return other
+        return self._changed(observed=dict(inputs))
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -371,7 +372,7 @@ class Bench(Described):
         last: without them the motion may change so much that the cause of a problem has no effect.
         """
         for part, template in self._template.simpler():
-            yield part, self._around(template)
+            yield part, self._changed(_template=template)
 
     def check_interval(self, interval: float, whose: str) -> None:
         """Refuse a sample interval [s] that is not a whole number of simulation steps.

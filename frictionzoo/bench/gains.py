@@ -10,7 +10,7 @@ from jaxtyping import Float
 from frictionzoo.core.errors import ConfigError, MissingValueError
 from frictionzoo.core.log import Dataset, Log
 
-GAINS = ("kp", "kd")
+GAINS = {"kp": "15", "kd": "0.5"}  # with examples of values
 _OPTION = "actuator.params.{}.init"
 _CONSTANT = 1e-6  # relative variation up to which a gain is constant
 _EXPLAINED = 0.95  # least share of the recorded torque's variance that the gains must explain
@@ -30,40 +30,35 @@ class _Regression(NamedTuple):
     error: float
 
 
-def stand_in(section: Mapping[str, Any]) -> dict[str, float]:
-    """Return options with placeholders for a bench's missing gains, to build it and read its joint names."""
-    return {_OPTION.format(name): 1.0 for name in _list_missing(section)}
-
-
-def _list_missing(section: Mapping[str, Any]) -> list[str]:
+def list_missing(section: Mapping[str, Any]) -> list[str]:
+    """Return the names of the gains whose `init` in a bench's section is null."""
     params = section.get("actuator", {}).get("params") or {}
     return [name for name in GAINS if isinstance(params.get(name), Mapping) and params[name].get("init", 0) is None]
 
 
 def find_gains(section: Mapping[str, Any], dataset: Dataset, missing: MissingValueError) -> dict[str, Any]:
-    """Return options with the missing gains from the recordings, without the prefix `bench.`, and log their origin.
+    """Return the missing gains by name, one value or a list with one per joint, and log their origin.
 
     Raises:
         ConfigError: A recorded gain varies, or the recordings do not determine a gain.
         MissingValueError: `missing`, the error of building the bench, if the missing value is not a gain.
     """
-    wanted = _list_missing(section)
+    wanted = list_missing(section)
     if not wanted:
         raise missing
     gains, reason = _read_columns(wanted, dataset), ""
-    if unresolved := [name for name in wanted if name not in gains]:
+    if len(gains) < len(wanted):
         regressed, reason = _regress(dataset.train)
-        gains |= {name: regressed[name] for name in unresolved if name in regressed}
+        gains = regressed | gains
     if unresolved := [name for name in wanted if name not in gains]:
-        example = {"kp": "15", "kd": "0.5"}
-        options = " ".join(f"bench.{_OPTION.format(name)}={example[name]}" for name in unresolved)
+        options = " ".join(f"bench.{_OPTION.format(name)}={GAINS[name]}" for name in unresolved)
         columns = " and ".join(f"data.columns.{name}" for name in unresolved)
         raise ConfigError(
             f"{' and '.join(unresolved)} of the controller: no value{reason}; give your controller's values, as in "
             f"{options}, or map the columns that contain them ({columns}) or the joint's torque (data.columns.torque), "
             "from which they are computed"
         )
-    return {_OPTION.format(name): values if len(values) > 1 else values[0] for name, values in gains.items()}
+    return {name: gains[name] if len(gains[name]) > 1 else gains[name][0] for name in wanted}
 
 
 def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[float]]:

@@ -1,12 +1,12 @@
 """Bench and recordings of an identification, read before the slow imports."""
 
+import copy
 import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from frictionzoo.bench.base import Bench
-from frictionzoo.bench.gains import find_gains, stand_in
-from frictionzoo.bench.sections import put_options
+from frictionzoo.bench.gains import find_gains, list_missing
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import MissingValueError
 from frictionzoo.core.log import Dataset
@@ -37,7 +37,7 @@ class Given(NamedTuple):
         bench, missing = build_open(section)
         dataset = source.for_joints(bench.joints).load()
         if missing:
-            section = put_options(section, find_gains(section, dataset, missing))
+            section = _put_gains(section, find_gains(section, dataset, missing))
             bench = build(section, Bench)
         return cls(bench, dataset, time.perf_counter() - start, {**settings, "bench": section})
 
@@ -51,4 +51,12 @@ def build_open(section: Mapping[str, Any]) -> tuple[Bench, MissingValueError | N
     try:
         return build(section, Bench), None
     except MissingValueError as missing:
-        return build(put_options(section, stand_in(section)), Bench), missing
+        return build(_put_gains(section, dict.fromkeys(list_missing(section), 1.0)), Bench), missing
+
+
+def _put_gains(section: Mapping[str, Any], gains: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a bench's section with these initial values of its actuator's parameters."""
+    changed = copy.deepcopy(dict(section))
+    for name, value in gains.items():
+        changed["actuator"]["params"][name]["init"] = value
+    return changed

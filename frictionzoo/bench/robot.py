@@ -12,10 +12,9 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.actuators.force import Force
 from frictionzoo.bench.actuators.joint_pd import JointPD
 from frictionzoo.bench.actuators.saturation import LIMITS, POSITIONS
-from frictionzoo.bench.base import Bench
+from frictionzoo.bench.base import DEFAULTS, Bench
 from frictionzoo.bench.robot_file import RobotFile, read_robot
 from frictionzoo.bench.robot_file.read import refuse_other
-from frictionzoo.bench.sections import DEFAULTS
 from frictionzoo.bench.template import Joints, Template
 from frictionzoo.core.errors import BenchError, MissingValueError
 from frictionzoo.core.params import LARGEST, Param, refuse_negative
@@ -81,7 +80,7 @@ class Robot(Bench):
     ) -> None:
         keep = () if payload is None else (payload,)
         self.choices: Mapping[str, str] = {"base": base, "contacts": contacts, "limits": limits, "others": others}
-        self.file: RobotFile = read_robot(mjcf, joint, **self.choices, keep=keep, timestep=timestep)
+        self.file: RobotFile = read_robot(mjcf, joint, **self.choices, keep=keep)
         sections = {**(params or {})}
         for name, defaults in {"armature": {"high": self.armature_high}, "delay": {}}.items():
             sections[name] = {"init": None, **defaults, **_section(sections.get(name, {}))}
@@ -91,14 +90,14 @@ class Robot(Bench):
         self._said: list[str] = []  # differences of initial values and ranges from the file
         actuator = self._with_ranges(actuator)
         options: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
-        options |= {"gravity": gravity, "second_order": second_order, "integrator": integrator}
+        options |= {"gravity": gravity, "second_order": second_order, "integrator": integrator, "timestep": timestep}
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **options)
         self.notes = (*self.file.notes, *dict.fromkeys(self._said))
         if limits == "leave_out":
             self.unlimited = self.file.ranges
 
-    def _open(self, mjcf: str, joint: Any, timestep: float | None) -> Template:
-        return Template.of(mjcf, self.file.root, self.file.joints)
+    def _open(self, mjcf: str, joint: Joints) -> Template:
+        return Template(mjcf, self.file.root, self.file.joints)
 
     def _fill(self, params: Mapping[str, Param]) -> dict[str, Param]:
         """Return the parameters with missing values from the file, without optional ones that the file lacks."""

@@ -30,27 +30,29 @@ DEFAULT_SOLREFFRICTION = (0.02, 1.0)
 
 
 class Template:
-    """MJCF without friction, armature or actuators at the identified joints; for the arguments, see `Bench`.
+    """MJCF without friction, armature or actuators at the identified joints.
 
-    Raises:
-        BenchError: The MJCF cannot be read, lacks these joints, or has an actuator.
-        ConfigError: The step is not positive.
+    Args:
+        source: Its file, for messages.
+        root: The MJCF.
+        joints: Names of the identified joints.
     """
 
-    def __init__(self, source: str, joint: Joints, timestep: float | str | None) -> None:
+    def __init__(self, source: str, root: ET.Element, joints: Sequence[str]) -> None:
         self.source: str = source
-        self._root = _read(source)
-        step = read_timestep(timestep)
-        if step is not None:
-            self._set_option("timestep", in_full(step))
-        self.joints: tuple[str, ...] = self._choose_joints(joint)
-        self._refuse_clashes()
+        self._root = root
+        self.joints: tuple[str, ...] = tuple(joints)
 
     @classmethod
-    def of(cls, source: str, root: ET.Element, joints: Sequence[str]) -> "Template":
-        """Return a template of the MJCF `root`, already converted from the file `source`, with these joints."""
-        template = object.__new__(cls)
-        template.source, template._root, template.joints = source, root, tuple(joints)
+    def read(cls, source: str, joint: Joints) -> "Template":
+        """Read a template; for the arguments, see `Bench`.
+
+        Raises:
+            BenchError: The MJCF cannot be read, lacks these joints, or has an actuator.
+        """
+        template = cls(source, _read(source), ())
+        template.joints = template._choose_joints(joint)
+        template._refuse_clashes()
         return template
 
     @property
@@ -77,42 +79,18 @@ class Template:
             bodies[name].insert(0, ET.Element("inertial", _inertial(name, parameters)))
         return other
 
-    def with_gravity(self, gravity: Sequence[float | int] | None) -> "Template":
-        """Return the template with another gravity in the world frame [m/s^2]; None changes nothing.
-
-        Raises:
-            ConfigError: The gravity is not three finite numbers.
-        """
-        if gravity is None:
+    def with_options(self, options: Mapping[str, str]) -> "Template":
+        """Return the template with other attributes of `<option>`, from `read_options`."""
+        if not options:
             return self
-        numbers = np.array(gravity, np.float64)
-        if numbers.shape != (3,) or not np.isfinite(numbers).all():
-            raise ConfigError(f"bench.gravity={list(gravity)}: expected three numbers in m/s^2, or null for the file's")
-        return self._copied()._set_option("gravity", in_full(numbers))
-
-    def with_integrator(self, integrator: str | None) -> "Template":
-        """Return the template with another integrator, in upper or lower case; None changes nothing.
-
-        Raises:
-            ConfigError: The integrator is not supported.
-        """
-        if integrator is None:
-            return self
-        names = {name.casefold(): name for name in INTEGRATORS.values()}
-        if str(integrator).casefold() not in names:
-            raise ConfigError(f"bench.integrator={integrator}: {closest(str(integrator), INTEGRATORS.values())}")
-        return self._copied()._set_option("integrator", names[integrator.casefold()])
-
-    def _copied(self) -> "Template":
-        other = copy.copy(self)
-        other._root = copy.deepcopy(self._root)
+        other = self._copied()
+        _section(other._root, "option")
+        for option in other._root.findall("option"):  # the last of several takes effect
+            option.attrib.update(options)
         return other
 
-    def _set_option(self, name: str, value: str) -> "Template":
-        _section(self._root, "option")
-        for option in self._root.findall("option"):  # the last of several takes effect
-            option.set(name, value)
-        return self
+    def _copied(self) -> "Template":
+        return Template(self.source, copy.deepcopy(self._root), self.joints)
 
     def write(
         self, joints: Sequence[Mapping[str, str]], actuators: Sequence[Mapping[str, str]], comments: Sequence[str] = ()
@@ -158,28 +136,19 @@ class Template:
         if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION or model.opt.disableactuator & 1:
             flags = "flag actuation or actuatorgroupdisable"
             self._fail(f"the MJCF disables actuators ({flags}), and with them the drive; remove that")
+        features, reason = (
+            {"frictionloss": model.dof_frictionloss},
+            "expected none because the friction model brings it",
+        )
         if moved:
-            self._refuse_other_references(model)
-        if (model.dof_frictionloss > 0).any():
-            self._fail(
-                f"joint {self._first(model.dof_frictionloss > 0)} has frictionloss in the MJCF, expected none because "
-                "the friction model brings it; remove it, also from defaults"
-            )
-
-    def _refuse_other_references(self, model: mujoco.MjModel) -> None:
-        # For a nonlinear spring, the largest coefficient.
-        springs = np.abs(np.column_stack([model.jnt_stiffness, model.jnt_stiffnesspoly])).max(axis=1)
-        features = {"ref": model.qpos0 != 0, "range": model.jnt_limited > 0, "stiffness": springs > 0}
-        for name, having in features.items():
-            if having.any() or (name == "stiffness" and model.ntendon):
-                feature = f"joint {self._first(having)} has {name}" if having.any() else "it has tendons"
-                self._fail(
-                    f"{feature}, which bench.params.position_offset does not shift; remove it from the MJCF, or set "
-                    "bench.params.position_offset to identify: false and init: 0"
-                )
-
-    def _first(self, having: np.ndarray) -> str:
-        return self.joints[int(np.argmax(having))]
+            stiffness = np.abs(np.column_stack([model.jnt_stiffness, model.jnt_stiffnesspoly])).max(axis=1)
+            stiffness = np.maximum(stiffness, bool(model.ntendon))
+            features |= {"ref": model.qpos0, "range": model.jnt_limited, "stiffness": stiffness}
+            reason += "; bench.params.position_offset shifts no ref, range, stiffness or tendon"
+        for name, values in features.items():
+            if np.any(values):
+                joint = self.joints[int(np.argmax(values != 0))]
+                self._fail(f"joint {joint} has {name} in the MJCF, {reason}; remove it, also from defaults")
 
     def _fail(self, message: str) -> NoReturn:
         raise BenchError(f"{self.source}: {message}") from None
@@ -222,27 +191,22 @@ class Template:
 
     def simpler(self) -> Iterator[tuple[str, "Template"]]:
         """Yield the template without one attribute or element, with a description of it; see `Bench.simpler`."""
-        elements = list(self._root.iter())
-        attributes = [(element, name) for element in elements for name in element.attrib if name not in _NAMING]
-        parts = [element for element in elements if element.tag not in _KEPT and element.get("name") not in self.joints]
+        elements = list(enumerate(self._root.iter()))
+        attributes = [(place, name) for place, element in elements for name in element.attrib if name not in _NAMING]
+        parts = [place for place, part in elements if part.tag not in _KEPT and part.get("name") not in self.joints]
         removals = [
-            *((element, name) for element, name in attributes if name not in _GEOMETRY),
-            *((element, None) for element in parts),
-            *((element, name) for element, name in attributes if name in _GEOMETRY),
+            *((place, name) for place, name in attributes if name not in _GEOMETRY),
+            *((place, None) for place in parts),
+            *((place, name) for place, name in attributes if name in _GEOMETRY),
         ]
-        for element, name in removals:
-            part = _describe(element) if name is None else f'{name}="{element.get(name)}" of {_describe(element)}'
-            yield part, self._without(element, name)
-
-    def _without(self, element: ET.Element, attribute: str | None) -> "Template":
-        index = list(self._root.iter()).index(element)
-        other = self._copied()
-        copied = list(other._root.iter())[index]
-        if attribute is not None:
-            del copied.attrib[attribute]
-        else:
-            next(parent for parent in other._root.iter() if copied in list(parent)).remove(copied)
-        return other
+        for place, name in removals:
+            other = self._copied()
+            element = list(other._root.iter())[place]
+            if name is None:
+                next(parent for parent in other._root.iter() if element in list(parent)).remove(element)
+                yield _describe(element), other
+            else:
+                yield f'{name}="{element.attrib.pop(name)}" of {_describe(element)}', other
 
     def _choose_joints(self, joint: Joints) -> tuple[str, ...]:
         names = [element.get("name", "") for element in self._root.findall("./worldbody//joint")]
@@ -262,13 +226,10 @@ class Template:
         if self._root.find(".//include") is not None:
             self._fail("it has an <include>, expected one self-contained MJCF; flatten it first")
         for element in self._root.findall("./actuator/*"):
-            if element.get("joint") in self.joints:
-                self._fail(
-                    f"joint {element.get('joint')} has an actuator in the MJCF, expected none because bench.actuator "
-                    "describes it; remove it from the MJCF, or take bench=robot, which reads it"
-                )
-            actuator = _describe(element)
-            self._fail(f"an actuator {actuator} in the MJCF, whose commands no recording has; remove it from the MJCF")
+            self._fail(
+                f"an actuator {_describe(element)} in the MJCF, expected none because bench.actuator describes the "
+                "drive; remove it, or take bench=robot, which reads it"
+            )
         for element in self._root.findall("./default/*"):
             if element.tag not in _NO_ACTUATORS:
                 self._fail(
@@ -336,16 +297,31 @@ def refuse_other_order(source: str, wanted: Sequence[str], names: Iterable[str])
         )
 
 
-def read_timestep(timestep: float | str | None) -> float | None:
-    """Return the simulation step [s]; None for None and `auto`.
+def read_options(
+    timestep: float | str | None = None,
+    gravity: Sequence[float | int] | None = None,
+    integrator: str | None = None,
+) -> dict[str, str]:
+    """Return attributes of `<option>` for these arguments of a bench, without those that are None or `auto`.
 
     Raises:
-        ConfigError: The step is not positive.
+        ConfigError: The step is not positive, gravity is not three finite numbers, or the integrator is not supported.
     """
-    step = None if timestep is None or timestep == AUTO else float(timestep)
-    if step is not None and not step > 0:
-        raise ConfigError(f"bench.timestep={step}; expected a positive number of seconds, or null")
-    return step
+    options: dict[str, str] = {}
+    if timestep is not None and timestep != AUTO:
+        options["timestep"] = in_full(float(timestep))
+        if not float(timestep) > 0:
+            raise ConfigError(f"bench.timestep={float(timestep)}; expected a positive number of seconds, or null")
+    if gravity is not None:
+        options["gravity"] = in_full(np.array(gravity, np.float64))
+        if np.shape(gravity) != (3,) or not np.isfinite(np.array(gravity, np.float64)).all():
+            raise ConfigError(f"bench.gravity={list(gravity)}: expected three numbers in m/s^2, or null for the file's")
+    if integrator is not None:
+        names = {name.casefold(): name for name in INTEGRATORS.values()}
+        if str(integrator).casefold() not in names:
+            raise ConfigError(f"bench.integrator={integrator}: {closest(str(integrator), names.values())}")
+        options["integrator"] = names[str(integrator).casefold()]
+    return options
 
 
 def read_solreffriction(given: Sequence[float] | str | None) -> list[float]:
@@ -354,13 +330,11 @@ def read_solreffriction(given: Sequence[float] | str | None) -> list[float]:
     Raises:
         ConfigError: They are not two numbers of the same sign.
     """
-    if isinstance(given, str) and given != AUTO:
-        raise ConfigError(f"bench.solreffriction={given}; expected two numbers")
-    numbers = DEFAULT_SOLREFFRICTION if given is None or isinstance(given, str) else given
-    if len(numbers) != 2 or not (min(numbers) > 0 or max(numbers) < 0):
+    numbers = DEFAULT_SOLREFFRICTION if given is None or (isinstance(given, str) and given == AUTO) else given
+    if isinstance(numbers, str) or len(numbers) != 2 or not (min(numbers) > 0 or max(numbers) < 0):
         raise ConfigError(
-            f"bench.solreffriction={list(numbers)}; expected two numbers above 0, time constant in s and "
-            "damping ratio, or two below 0, as MuJoCo reads them"
+            f"bench.solreffriction={given}; expected two numbers above 0, time constant in s and damping ratio, or two "
+            "below 0, as MuJoCo reads them"
         )
     return [float(number) for number in numbers]
 

@@ -3,6 +3,5 @@
 from frictionzoo.bench.robot_file.controllers import ReadActuator
 from frictionzoo.bench.robot_file.read import RobotFile, read_robot
 from frictionzoo.bench.robot_file.source import look_at
-from frictionzoo.bench.robot_file.tree import Link
 
-__all__ = ["Link", "ReadActuator", "RobotFile", "look_at", "read_robot"]
+__all__ = ["ReadActuator", "RobotFile", "look_at", "read_robot"]

@@ -15,7 +15,7 @@ from frictionzoo.bench.robot_file.dc_motors import (
     torque_per_volt,
     why_not_linear,
 )
-from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.bench.robot_file.source import Source
 
 AT_JOINT = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 _FILTERS = {int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)}
@@ -30,9 +30,23 @@ _ACTING = {  # transmissions other than a joint, for notes
 
 def read_actuators(source: Source, joints: Sequence[int]) -> tuple[ReadActuator | None, ...]:
     """Return the actuator of each joint, None without a supported one; unsupported actuators are noted."""
-    source.notes += _say_others(source, joints)
+    model = source.model
+    kinds = model.actuator_trntype.tolist()
+    for kind, description in _ACTING.items():
+        names = [source.name("actuator", index) for index in range(model.nactuator) if kinds[index] == kind]
+        source.note(f"left out: {{n}} actuators that act by {description}, {{}}", names)
+    at_joints = [index for index in range(model.nactuator) if kinds[index] in AT_JOINT]
+    elsewhere = [source.name("actuator", i) for i in at_joints if int(model.actuator_trnid[i, 0]) not in joints]
+    source.note("left out: {n} actuators of joints that are not chosen, {}", elsewhere)
     read = without_others(source, joints, [_read_joint(source, joint) for joint in joints])
-    source.notes += _say_commands(source, joints, read)
+    joints_of: dict[str, list[str]] = {}  # recorded signals that differ from the file's command by a factor
+    for joint, actuator in zip(joints, read, strict=True):
+        for ctrl, signal, factor in actuator.commands if actuator else ():
+            if factor != 1:
+                text = f"{signal} is {factor:.6g} times the file's ctrl[{ctrl}]"
+                joints_of.setdefault(text, []).append(source.name("joint", joint))
+    for text, names in joints_of.items():
+        source.note(f"command of joint {{}}: {text}", names)
     return read
 
 
@@ -67,9 +81,8 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
     model = source.model
     nonlinear = [j for j in joints if model.dof_dampingpoly[source.dof(j)].any()]
     nonlinear += [j for j in joints if model.actuator_dampingpoly[list_at(model, j)].any()]
-    if nonlinear:
-        names = listed([model.joint(joint).name for joint in nonlinear])
-        source.notes.append(f"nonlinear damping of joint {names}: only the coefficient of qvel is kept")
+    names = [source.name("joint", joint) for joint in nonlinear]
+    source.note("nonlinear damping of joint {}: only the coefficient of qvel is kept", names)
     damping = [model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints]
     motors = [[index for index in list_at(model, joint) if is_dc_motor(model, index)] for joint in joints]
     back_emf = [
@@ -82,42 +95,25 @@ def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> fl
     return float(sum(model.actuator_gear[index, 0] ** 2 * ofactuators[index] for index in list_at(model, joint)))
 
 
-def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
-    model = source.model
-    for kind, description in _ACTING.items():
-        names = [_name(model, index) for index in range(model.nactuator) if int(model.actuator_trntype[index]) == kind]
-        if names:
-            yield f"left out: {len(names)} actuators that act by {description}, {listed(names)}"
-    elsewhere = [
-        _name(model, index)
-        for index in range(model.nactuator)
-        if int(model.actuator_trntype[index]) in AT_JOINT and int(model.actuator_trnid[index, 0]) not in joints
-    ]
-    if elsewhere:
-        yield f"left out: {len(elsewhere)} actuators of joints that are not chosen, {listed(elsewhere)}"
-
-
 def _read_joint(source: Source, joint: int) -> ReadActuator | None:
     model, readable = source.model, list[ReadActuator]()
     for index in list_at(model, joint):
-        reason, name = _why_not(model, index), _name(model, index)
+        reason, name = _why_not(model, index), source.name("actuator", index)
         if reason:
-            source.notes.append(f"actuator {name} of joint {model.joint(joint).name} is left out: {reason}")
+            source.note(f"actuator {name} of joint {source.name('joint', joint)} is left out: {reason}")
             continue
         if model.actuator_ctrlnum[index] == 0:
             continue  # a DC motor without a command; its bristles and back-EMF count as the joint's friction
         if is_dc_motor(model, index):
-            source.notes.append(
-                f"actuator {name} is a DC motor: its command is a voltage, and its back-EMF is taken as damping of the "
-                "joint"
-            )
+            how = "its command is a voltage, and its back-EMF is taken as damping of the joint"
+            source.note(f"actuator {name} is a DC motor: {how}")
         if int(model.actuator_dyntype[index]) in _FILTERS:
             constant, lag = model.actuator_dynprm[index, 0], _lag(model, index)
-            instead = f"taken as a delay of {lag:g} s" if lag else "left out, commands act at once"
-            advice = "" if lag else "; a delay of the bench may stand for it"
-            source.notes.append(f"actuator {name}: its filter of {constant:g} s is {instead}{advice}")
+            instead = "left out, commands act at once; a delay of the bench may stand for it"
+            instead = f"taken as a delay of {lag:g} s" if lag else instead
+            source.note(f"actuator {name}: its filter of {constant:g} s is {instead}")
         readable.append(_read(source, index))
-    return combine(source, model.joint(joint).name, readable)
+    return combine(source, source.name("joint", joint), readable)
 
 
 def _why_not(model: mujoco.MjModel, index: int) -> str | None:
@@ -154,10 +150,11 @@ def _read(source: Source, index: int) -> ReadActuator:
     kind = _kind(gain, bias0, bias1, bias2)
     low, high = range_of(model.actuator_forcerange[index], model.actuator_forcelimited[index])
     forcerange = (low * gear, high * gear) if gear >= 0 else (high * gear, low * gear)
-    commands = tuple(_commands(model, index, kind))
-    source.notes += _say_ranges(model, index, commands)
+    commands, name = tuple(_commands(model, index, kind)), source.name("actuator", index)
+    ranged = [command.signal for command in commands[1:] if not np.isnan(ctrlrange(model, command.index)).all()]
+    source.note(f"ranges of {{}} of actuator {name} are left out", ranged)
     return ReadActuator(
-        _name(model, index),
+        name,
         kind,
         gear * gain,
         gear * bias0,
@@ -191,12 +188,6 @@ def _commands(model: mujoco.MjModel, index: int, kind: str) -> Iterator[Command]
         yield Command(ctrl, signal, factor)
 
 
-def _say_ranges(model: mujoco.MjModel, index: int, commands: Sequence[Command]) -> Iterator[str]:
-    signals = [command.signal for command in commands[1:] if not np.isnan(ctrlrange(model, command.index)).all()]
-    if signals:
-        yield f"ranges of {listed(signals)} of actuator {_name(model, index)} are left out"
-
-
 def _delay(source: Source, index: int) -> float:
     """Return the effective delay of commands in MuJoCo's steps [s]; note differences from the file."""
     model = source.model
@@ -206,13 +197,12 @@ def _delay(source: Source, index: int) -> float:
     samples, interpolation = map(int, model.actuator_history[index])
     steps = max(delay / step, 1.0) if interpolation else float(np.ceil(delay / step - _ROUNDING))
     effective = min(steps, samples) * step
+    name = source.name("actuator", index)
     if abs(effective - delay) > _ROUNDING * step:
-        source.notes.append(
-            f"delay of actuator {_name(model, index)}, {delay:g} s: {effective:g} s, as it acts in MuJoCo's steps of "
-            f"{step:g} s with nsample={samples}"
-        )
+        steps_of = f"MuJoCo's steps of {step:g} s with nsample={samples}"
+        source.note(f"delay of actuator {name}, {delay:g} s: {effective:g} s, as it acts in {steps_of}")
     if interpolation > 1 and steps % 1 > _ROUNDING:
-        source.notes.append(f"delay of actuator {_name(model, index)}: interpolated linearly, not by a cubic")
+        source.note(f"delay of actuator {name}: interpolated linearly, not by a cubic")
     return effective
 
 
@@ -222,22 +212,6 @@ def _lag(model: mujoco.MjModel, index: int) -> float:
     filters = int(model.actuator_dyntype[index]) == mujoco.mjtDyn.mjDYN_FILTEREXACT and model.actuator_actearly[index]
     lag = read_filter(constant, step) if filters and constant > 0 else 0.0
     return lag if lag < step else 0.0
-
-
-def _say_commands(source: Source, joints: Sequence[int], read: Sequence[ReadActuator | None]) -> Iterator[str]:
-    """Yield a note for each recorded signal that differs from the file's command by a factor."""
-    joints_of: dict[str, list[str]] = {}
-    for joint, actuator in zip(joints, read, strict=True):
-        scaled = [command for command in (actuator.commands if actuator else ()) if command.factor != 1]
-        for ctrl, signal, factor in scaled:
-            text = f"{signal} is {factor:.6g} times the file's ctrl[{ctrl}]"
-            joints_of.setdefault(text, []).append(source.model.joint(joint).name)
-    for text, names in joints_of.items():
-        yield f"command of joint {listed(names)}: {text}"
-
-
-def _name(model: mujoco.MjModel, index: int) -> str:
-    return model.actuator(index).name or f"number {index}"
 
 
 def _said(kind: mujoco.mjtDyn | mujoco.mjtGain | mujoco.mjtBias) -> str:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from frictionzoo.bench.robot_file.dc_motors import is_dc_motor
-from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.bench.robot_file.source import Source
 
 _STATES = 20
 _SAME = 1e-9  # largest difference of a torque, relative to its largest term
@@ -94,23 +94,18 @@ def combine(source: Source, joint: str, read: Sequence[ReadActuator]) -> ReadAct
     parts = {actuator.kind: actuator for actuator in read}
     is_simple = len(parts) == len(read) and all(len(actuator.commands) == 1 for actuator in read)
     if not is_simple or not {"position"} <= parts.keys() <= {"position", "velocity", "motor"}:
-        source.notes.append(
-            f"joint {joint} has {len(read)} actuators: {names[0]} is read, and {listed(names[1:])} left out"
-        )
+        source.note(f"joint {joint} has {len(read)} actuators: {names[0]} is read, and {{}} left out", names[1:])
         return read[0]
-    source.notes.append(f"joint {joint}: actuators {listed(names)} are one controller of position, velocity and torque")
+    source.note(f"joint {joint}: actuators {{}} are one controller of position, velocity and torque", names)
     if len({actuator.delay for actuator in read}) > 1:
-        delay = parts["position"].delay
-        source.notes.append(f"delays of actuators {listed(names)} differ: all of their commands are {delay:g} s late")
+        late = f"all of their commands are {parts['position'].delay:g} s late"
+        source.note(f"delays of actuators {{}} differ: {late}", names)
     limited = [
         part.name
         for part in read
         if not np.isnan(part.forcerange).all() or (part.kind != "position" and not np.isnan(part.ctrlrange).all())
     ]
-    if limited:
-        source.notes.append(
-            f"ranges of actuators {listed(limited)} are left out: they end a part of the torque of joint {joint}"
-        )
+    source.note(f"ranges of actuators {{}} are left out: they end a part of the torque of joint {joint}", limited)
     return _together(parts, " + ".join(names))
 
 
@@ -135,8 +130,10 @@ def without_others(
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     model.actuator_delay[:] = 0
-    for actuator in filter(None, read):
-        _lift_ranges(model, actuator)
+    for actuator in filter(None, read):  # remove the ranges that were not read
+        model.actuator_ctrllimited[[command.index for command in actuator.commands[1:]]] = False
+        if len(_owners(model, actuator)) > 1:
+            model.actuator_forcelimited[_owners(model, actuator)] = False
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     worst = np.zeros(len(joints))
     for _ in range(_STATES):
@@ -144,24 +141,9 @@ def without_others(
         for index, (joint, actuator) in enumerate(zip(joints, read, strict=True)):
             if actuator is not None:
                 worst[index] = max(worst[index], _compare(model, data, joint, actuator))
-    kept = list(read)
-    for index in np.flatnonzero(worst > _SAME).tolist():
-        actuator = read[index]
-        assert actuator is not None
-        source.notes.append(
-            f"actuator {actuator.name} of joint {model.joint(joints[index]).name} is left out: its torque in MuJoCo "
-            "differs from its coefficients"
-        )
-        kept[index] = None
-    return tuple(kept)
-
-
-def _lift_ranges(model: mujoco.MjModel, actuator: ReadActuator) -> None:
-    """Remove the ranges that were not read."""
-    for command in actuator.commands[1:]:
-        model.actuator_ctrllimited[command.index] = False
-    if len(_owners(model, actuator)) > 1:
-        model.actuator_forcelimited[_owners(model, actuator)] = False
+    differing = [actuator.name for actuator, error in zip(read, worst, strict=True) if actuator and error > _SAME]
+    source.note("actuators {} are left out: their torque in MuJoCo differs from their coefficients", differing)
+    return tuple(None if error > _SAME else actuator for actuator, error in zip(read, worst, strict=True))
 
 
 def _owners(model: mujoco.MjModel, actuator: ReadActuator) -> list[int]:

@@ -6,20 +6,13 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 
-from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.bench.robot_file.source import Source
 from frictionzoo.bench.robot_file.tree import Tree
 from frictionzoo.bench.template import in_full
 
 _EQ, _WRAP = mujoco.mjtEq, mujoco.mjtWrap
-_SIZES = {
-    int(mujoco.mjtGeom.mjGEOM_PLANE): ("plane", 3),
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
-    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
-}
-"""Name and number of size parameters of each primitive geom type."""
+_SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
+"""Number of size parameters of each primitive geom type."""
 _SAID = ("condim", "contype", "conaffinity", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap")
 
 
@@ -31,16 +24,13 @@ def add_equalities(source: Source, tree: Tree, joints: Sequence[int], root: ET.E
     """
     model, section, idle = source.model, ET.Element("equality"), []
     for index in range(model.neq):
-        if not model.eq_active0[index] or not _ties(source, tree, joints, index):
-            idle.append(model.equality(index).name or f"number {index}")
-            continue
-        section.append(_joint_equality(source, joints, index))
-    if idle:
-        source.notes.append(f"left out: {len(idle)} equality constraints that tie no chosen joint, {listed(idle)}")
+        if model.eq_active0[index] and _ties(source, tree, joints, index):
+            section.append(_joint_equality(source, joints, index))
+        else:
+            idle.append(source.name("equality", index))
+    source.note("left out: {n} equality constraints that tie no chosen joint, {}", idle)
     if len(section):
-        source.notes.append(
-            f"kept: {len(section)} equality constraints between chosen joints, which then move together"
-        )
+        source.note(f"kept: {len(section)} equality constraints between chosen joints, which then move together")
         root.append(section)
 
 
@@ -60,16 +50,15 @@ def _ties(source: Source, tree: Tree, joints: Sequence[int], index: int) -> bool
 
 
 def _joint_equality(source: Source, joints: Sequence[int], index: int) -> ET.Element:
-    model, name = source.model, source.model.equality(index).name or f"number {index}"
-    if _EQ(model.eq_type[index]) != _EQ.mjEQ_JOINT:
-        is_tendon = model.eq_type[index] == _EQ.mjEQ_TENDON
-        problem = (
-            "ties tendons of chosen joints" if is_tendon else "closes a loop of bodies, or pulls at one from outside"
-        )
-        source.fail(f"equality constraint {name} {problem}, which is not supported; choose joints outside of it")
+    model, name = source.model, source.name("equality", index)
     ends = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    if _EQ(model.eq_type[index]) != _EQ.mjEQ_JOINT:
+        source.fail(
+            f"equality constraint {name} ties tendons of chosen joints, closes a loop of bodies, or pulls at one from "
+            "outside, which is not supported; choose joints outside of it"
+        )
     if not all(joint in joints for joint in ends):
-        names = [model.joint(joint).name if joint >= 0 else "a constant" for joint in ends]
+        names = [source.name("joint", joint) if joint >= 0 else "a constant" for joint in ends]
         source.fail(
             f"equality constraint {name} ties joint {names[0]} to {names[1]} (mimic in a URDF), of which only one is "
             "chosen; choose both or neither in bench.joint"
@@ -87,19 +76,18 @@ def add_tendons(source: Source, tree: Tree, joints: Sequence[int], root: ET.Elem
     """
     model, section, idle = source.model, ET.Element("tendon"), []
     for tendon in range(model.ntendon):
-        name = model.tendon(tendon).name or f"number {tendon}"
         if not (_acts(model, tendon, limits) and _spans(source, joints, tree, tendon)):
-            idle.append(name)
-        elif not _is_fixed(model, tendon):
+            idle.append(source.name("tendon", tendon))
+        elif _is_fixed(model, tendon):
+            section.append(_fixed(model, joints, tendon, limits))
+        else:
+            name = source.name("tendon", tendon)
             source.fail(
                 f"tendon {name} runs in space and pulls at a chosen joint, which is not supported; choose others"
             )
-        else:
-            section.append(_fixed(model, joints, tendon, limits))
-    if idle:
-        source.notes.append(f"left out: {len(idle)} tendons that pull at no chosen joint by themselves, {listed(idle)}")
+    source.note("left out: {n} tendons that pull at no chosen joint by themselves, {}", idle)
     if len(section):
-        source.notes.append(f"kept: {len(section)} tendons with springs, damping, friction or limits at chosen joints")
+        source.note(f"kept: {len(section)} tendons with springs, damping, friction or limits at chosen joints")
         root.append(section)
 
 
@@ -159,35 +147,34 @@ def add_contacts(source: Source, root: ET.Element) -> None:
     bodies = [root.find("worldbody"), *root.iterfind("./worldbody//body")]
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
     for geom in range(model.ngeom):
-        if int(model.geom_type[geom]) in _SIZES and (
-            model.geom_contype[geom] | model.geom_conaffinity[geom] or geom in paired
-        ):
+        touches = model.geom_contype[geom] | model.geom_conaffinity[geom] or geom in paired
+        if touches and _kind(model, geom) in _SIZES:
             owner = bodies[int(model.geom_bodyid[geom])]
             assert owner is not None
             owner.append(_geom(model, geom))
-    ET.SubElement(root, "contact").extend([*_pairs(model), *_excludes(model)])
-
-
-def _geom(model: mujoco.MjModel, geom: int) -> ET.Element:
-    kind, size = _SIZES[int(model.geom_type[geom])]
-    values = {"size": model.geom_size[geom, :size], "pos": model.geom_pos[geom], "quat": model.geom_quat[geom]}
-    attributes = {"name": model.geom(geom).name} if model.geom(geom).name else {}
-    attributes |= {"type": kind} | {name: in_full(value) for name, value in values.items()}
-    return ET.Element("geom", attributes | {name: _value(getattr(model, f"geom_{name}")[geom]) for name in _SAID})
-
-
-def _pairs(model: mujoco.MjModel) -> Iterator[ET.Element]:
-    fields = ("friction", "solref", "solreffriction", "solimp", "margin", "gap")
+    contact, fields = (
+        ET.SubElement(root, "contact"),
+        ("friction", "solref", "solreffriction", "solimp", "margin", "gap"),
+    )
     for pair in range(model.npair):
         names = {f"geom{end}": model.geom(getattr(model, f"pair_geom{end}")[pair]).name for end in (1, 2)}
         attributes = {name: _value(getattr(model, f"pair_{name}")[pair]) for name in fields}
-        yield ET.Element("pair", names | {"condim": _value(model.pair_dim[pair])} | attributes)
+        ET.SubElement(contact, "pair", names | {"condim": _value(model.pair_dim[pair])} | attributes)
+    for signature in map(int, model.exclude_signature):
+        bodies = {"body1": signature >> 16, "body2": signature & 0xFFFF}
+        ET.SubElement(contact, "exclude", {end: model.body(body).name for end, body in bodies.items()})
 
 
-def _excludes(model: mujoco.MjModel) -> Iterator[ET.Element]:
-    for signature in model.exclude_signature:
-        first, second = int(signature) >> 16, int(signature) & 0xFFFF
-        yield ET.Element("exclude", {"body1": model.body(first).name, "body2": model.body(second).name})
+def _kind(model: mujoco.MjModel, geom: int) -> str:
+    return mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+
+
+def _geom(model: mujoco.MjModel, geom: int) -> ET.Element:
+    kind = _kind(model, geom)
+    values = {"size": model.geom_size[geom, : _SIZES[kind]], "pos": model.geom_pos[geom], "quat": model.geom_quat[geom]}
+    attributes = {"name": model.geom(geom).name} if model.geom(geom).name else {}
+    attributes |= {"type": kind} | {name: in_full(value) for name, value in values.items()}
+    return ET.Element("geom", attributes | {name: _value(getattr(model, f"geom_{name}")[geom]) for name in _SAID})
 
 
 def _value(value: np.ndarray | np.number) -> str:

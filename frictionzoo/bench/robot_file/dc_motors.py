@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.bench.robot_file.source import Source
 
 _UNCONTROLLED = int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE) | int(mujoco.mjtCtrlInput.mjINPUT_NONE)
 _STIFFNESS, _MICRO_DAMPING = 5, 6  # in dynprm
@@ -48,21 +48,17 @@ def read_back_emf(model: mujoco.MjModel, index: int) -> float:
 
 def read_bristles(source: Source, motors: Mapping[int, Sequence[int]]) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the parameters of `lugre` from the DC motors' indices by joint, and note them; NaN without bristles."""
-    model, rows = source.model, list[list[float]]()
-    names = [model.joint(joint).name for joint in motors]
+    model, rows, names = source.model, list[list[float]](), [source.name("joint", joint) for joint in motors]
     for name, indices in zip(names, motors.values(), strict=True):
         with_bristles = [index for index in indices if model.actuator_dynprm[index, _STIFFNESS] > 0]
         if len(with_bristles) > 1:
-            source.notes.append(
-                f"joint {name} has bristles of {len(with_bristles)} DC motors, of which those of one are read"
-            )
+            source.note(f"joint {name} has bristles of {len(with_bristles)} DC motors, of which those of one are read")
         rows.append(_bristles(model, with_bristles[0]) if with_bristles else [np.nan] * len(BRISTLES))
     values: dict[str, np.ndarray] = dict(zip(BRISTLES, np.array(rows).T, strict=True))
     is_dahl = (values["micro_damping"] == 0) & (values["static_torque"] == values["kinetic_torque"])
     for law, matches in {"dahl": is_dahl, "lugre": ~is_dahl & ~np.isnan(values["stiffness"])}.items():
-        if matches.any():
-            joints = listed([name for name, match in zip(names, matches, strict=True) if match])
-            source.notes.append(f"bristles of <dcmotor> at joint {joints}: left out, model={law} begins with them")
+        joints = [name for name, match in zip(names, matches, strict=True) if match]
+        source.note(f"bristles of <dcmotor> at joint {{}}: left out, model={law} begins with them", joints)
     return values
 
 

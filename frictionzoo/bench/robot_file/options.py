@@ -1,7 +1,6 @@
 """Options of a robot's file in a bench, with a note for each that the bench drops."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -15,6 +14,10 @@ _ASKED = {"constraint", "equality", "limit", "contact"}
 """Flags of constraint types that the bench omits if disabled."""
 _IDLE = {"warmstart", "sensor", "midphase", "autoreset", "nativeccd", "island", "multiccd"}
 """Flags without an effect on a bench's motion."""
+_HARMFUL = {
+    "frictionloss": "it would switch off the friction that is identified",
+    "actuation": "it would switch off the drives",
+}
 
 
 def acting(source: Source, kind: str) -> bool:
@@ -28,60 +31,41 @@ def is_fluid(source: Source) -> bool:
     return bool(source.model.opt.density > 0 or source.model.opt.viscosity > 0)
 
 
-def write_option(source: Source, timestep: float | None, contacts: bool) -> ET.Element:
+def write_option(source: Source, contacts: bool) -> ET.Element:
     """Return the `<option>` of a bench; differences from the file are noted."""
-    option = source.model.opt
-    values = {"timestep": option.timestep if timestep is None else timestep, "gravity": option.gravity}
+    option, default = source.model.opt, mujoco.MjOption()
+    values = {"timestep": option.timestep, "gravity": option.gravity}
     attributes = {"integrator": _integrator(source)}
     if is_fluid(source):
         values |= {"density": option.density, "viscosity": option.viscosity, "wind": option.wind}
-        source.notes.append(
-            f"kept: a medium of {option.density:g} kg/m^3 and {option.viscosity:g} Pa s around all bodies"
-        )
+        source.note(f"kept: a medium of {option.density:g} kg/m^3 and {option.viscosity:g} Pa s around all bodies")
         if source.model.geom_fluid[:, 0].any():
             source.fail("fluidshape of geoms, which is not supported; remove it, or option density and viscosity")
+    elif (option.wind != 0).any():
+        source.note("option wind left out: there is no medium")
     if contacts:
         values["impratio"] = option.impratio
         attributes["cone"] = "elliptic" if option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else "pyramidal"
-    source.notes += [*_say_solver(option), *_say_contact_options(option, contacts)]
+    else:
+        changed = [name for name in ("cone", "impratio") if getattr(option, name) != getattr(default, name)]
+        source.note("contact options left out: {}", changed)
+    solver = ("solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance", "noslip_iterations", "jacobian")
+    changed = [f"{n}={getattr(option, n):g}" for n in solver if getattr(option, n) != getattr(default, n)]
+    source.note("options of the solver left out ({}): friction is solved to MuJoCo's default accuracy", changed)
+    source.note("flags left out: {}", _list_set(mujoco.mjtEnableBit, "mjENBL_", option.enableflags))
     element = ET.Element("option", {name: in_full(value) for name, value in values.items()} | attributes)
-    flags = _flags(source, contacts)
-    if flags:
+    if flags := _flags(source, contacts):
         ET.SubElement(element, "flag", dict.fromkeys(flags, "disable"))
     return element
 
 
 def _integrator(source: Source) -> str:
-    option, euler = source.model.opt, "Euler"
-    chosen = {_INTEGRATOR.mjINT_EULER: euler, _INTEGRATOR.mjINT_RK4: euler}.get(
-        _INTEGRATOR(option.integrator), "implicitfast"
-    )
-    chosen = euler if is_fluid(source) else chosen
-    name = _INTEGRATOR(option.integrator).name.removeprefix("mjINT_")
+    integrator = _INTEGRATOR(source.model.opt.integrator)
+    explicit = integrator in (_INTEGRATOR.mjINT_EULER, _INTEGRATOR.mjINT_RK4) or is_fluid(source)
+    chosen, name = "Euler" if explicit else "implicitfast", integrator.name.removeprefix("mjINT_")
     if name.lower() != chosen.lower():
-        source.notes.append(f"integrator {name}: {chosen} instead, the only one of the engines here")
+        source.note(f"integrator {name}: {chosen} instead, the only one of the engines here")
     return chosen
-
-
-def _say_solver(option: mujoco.MjOption) -> Iterator[str]:
-    default = mujoco.MjOption()
-    names = ("solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance", "noslip_iterations", "jacobian")
-    changed = [name for name in names if getattr(option, name) != getattr(default, name)]
-    if changed:
-        listing = ", ".join(f"{name}={getattr(option, name):g}" for name in changed)
-        yield f"options of the solver left out ({listing}): friction is solved to MuJoCo's default accuracy"
-
-
-def _say_contact_options(option: mujoco.MjOption, contacts: bool) -> Iterator[str]:
-    default = mujoco.MjOption()
-    changed = [name for name in ("cone", "impratio") if getattr(option, name) != getattr(default, name)]
-    if changed and not contacts:
-        yield f"contact options left out: {', '.join(changed)}"
-    if (option.wind != 0).any() and not (option.density > 0 or option.viscosity > 0):
-        yield "option wind left out: there is no medium"
-    flags = _list_set(mujoco.mjtEnableBit, "mjENBL_", option.enableflags)
-    if flags:
-        yield f"flags left out: {', '.join(flags)}"
 
 
 def _list_set(bits: Any, prefix: str, value: int) -> list[str]:
@@ -94,13 +78,9 @@ def _flags(source: Source, contacts: bool) -> list[str]:
     """Return the names of the flags that stay disabled; others are noted."""
     off = _list_set(_OFF, "mjDSBL_", source.model.opt.disableflags)
     kept = _KEPT_FLAGS | ({"filterparent"} if contacts else set())
-    reasons = {
-        "frictionloss": "it would switch off the friction that is identified",
-        "actuation": "it would switch off the drives",
-    }
-    source.notes += [f"flag {flag}=disable left out: {reasons[flag]}" for flag in off if flag in reasons]
+    for flag, reason in _HARMFUL.items():
+        source.note(f"flag {{}}=disable left out: {reason}", [flag] if flag in off else [])
     absent = [flag for flag in off if flag in _ASKED]
-    if absent:
-        source.notes.append(f"flags {', '.join(absent)}=disable: the bench does not contain these effects")
-    assert not set(off) - _KEPT_FLAGS - _ASKED - _IDLE - set(reasons) - {"filterparent", "clampctrl"}, off
+    source.note("flags {}=disable: the bench does not contain these effects", absent)
+    assert not set(off) - _KEPT_FLAGS - _ASKED - _IDLE - set(_HARMFUL) - {"filterparent", "clampctrl"}, off
     return [flag for flag in off if flag in kept]

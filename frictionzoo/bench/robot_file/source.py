@@ -6,7 +6,7 @@ import warnings
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
@@ -62,9 +62,15 @@ class Source:
         """Refuse the file in one line."""
         raise BenchError(f"{self.path}: {message}")
 
-    def name(self, body: int) -> str:
-        """Return a body's name or number, for messages."""
-        return self.model.body(body).name or f"number {body}"
+    def note(self, text: str, names: Sequence[str] | None = None) -> None:
+        """Note a feature; with `names` only if there are any, with the names as `{}` and their number as `{n}`."""
+        if names is None or names:
+            listing = listed(names or ())
+            self.notes.append(text.replace("{n}", str(len(names or ()))).replace("{}", listing))
+
+    def name(self, kind: str, index: int) -> str:
+        """Return the name of a `body`, `joint`, `actuator` or other element, or its number, for messages."""
+        return getattr(self.model, kind)(index).name or f"number {index}"
 
     def dof(self, joint: int) -> int:
         """Return the index of a joint's degree of freedom."""
@@ -86,18 +92,31 @@ def load(path: str, content: bytes | None = None, equip: Callable[[mujoco.MjSpec
         BenchError: The file cannot be read, or MuJoCo refuses it.
     """
     notes: list[str] = []
-    with _collecting_warnings(notes), _in_one_line(path):
-        spec, urdf = _parse(path, content, notes)
-        notes += _leave_out(spec)
-        meshes = sum(_needs_asset(geom) and bool(geom.contype or geom.conaffinity) for geom in spec.geoms)
-        settled = _settle_inertia(spec, Path(path).parent)
-        equip(spec)
-        model = spec.compile()
+    try:
+        with _collecting_warnings(notes):
+            spec, urdf = _parse(path, content, notes)
+            notes += _leave_out(spec)
+            meshes = sum(_needs_asset(geom) and bool(geom.contype or geom.conaffinity) for geom in spec.geoms)
+            unlike, absent = _settle_inertia(spec, Path(path).parent)
+            equip(spec)
+            model = spec.compile()
+    except (ValueError, RuntimeError) as error:  # MuJoCo raises both for invalid files
+        reason = " ".join(str(error).split())
+        raise BenchError(f"{path}: MuJoCo does not take it ({reason}); correct the file") from None
+    axes = np.stack([rotation(quaternion) for quaternion in model.body_iquat])
     with np.errstate(invalid="ignore"):
-        source = _with_inertia(path, model, settled, meshes, notes)
+        inertia = axes * model.body_inertia[:, None, :] @ axes.transpose(0, 2, 1)
+        mass, compiled = model.body_mass.copy(), np.ones(model.nbody, bool)
+        for body, (body_mass, body_inertia) in unlike.items():
+            mass[body.id], inertia[body.id] = body_mass, axes[body.id] @ body_inertia @ axes[body.id].T
+            compiled[body.id] = False
+    absent_of = {body.id: file for body, file in absent.items()}
+    source = Source(path, model, mass, model.body_ipos.copy(), inertia, compiled, absent_of, meshes, notes)
     _refuse_no_numbers(source)
     if urdf:
-        source.notes += _say_mass_of_shapes(spec, source)
+        bodies = [body for body in spec.bodies[1:] if not body.explicitinertial and model.body_weldid[body.id]]
+        masses = [f"{body.name} ({mass[body.id]:.3g} kg)" for body in bodies if mass[body.id] > 0]
+        source.note("links without <inertial>: MuJoCo takes mass from their collision shapes, {}", masses)
     return source
 
 
@@ -143,16 +162,6 @@ def _collecting_warnings(notes: list[str]) -> Iterator[None]:
         notes += [f"MuJoCo warns: {kind.replace('{}', listed(names))}" for kind, names in names_of.items()]
 
 
-@contextlib.contextmanager
-def _in_one_line(path: str) -> Iterator[None]:
-    try:
-        yield
-    except (ValueError, RuntimeError) as error:  # MuJoCo raises both for invalid files
-        raise BenchError(
-            f"{path}: MuJoCo does not take it ({' '.join(str(error).split())}); correct the file"
-        ) from None
-
-
 def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
     """Return MuJoCo's specification, with includes, classes and frames resolved, and whether the file is a URDF."""
     try:
@@ -167,17 +176,15 @@ def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.M
                 raise BenchError(f'{path}: {name}="{text}" of <{element.tag}>, expected finite numbers; correct it')
     if root.tag == "mujoco" and content is None:
         return mujoco.MjSpec.from_file(path), False
-    if root.tag == "mujoco":
-        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
-        spec.modelfiledir = str(Path(path).parent)
-        return spec, False
-    if root.tag != "robot":
+    if root.tag not in ("mujoco", "robot"):
         raise BenchError(f"{path}: <{root.tag}>, expected <mujoco> of an MJCF or <robot> of a URDF")
-    notes += _clean(path, root)
+    if urdf := root.tag == "robot":
+        notes += _clean(path, root)
     spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
     spec.modelfiledir = str(Path(path).parent)
-    spec.compiler.fusestatic = False  # keeps the bodies' names; `Tree` fuses bodies
-    return spec, True
+    if urdf:
+        spec.compiler.fusestatic = False  # keeps the bodies' names; `Tree` fuses bodies
+    return spec, urdf
 
 
 def _clean(path: str, root: ET.Element) -> Iterator[str]:
@@ -240,17 +247,16 @@ def _needs_asset(geom: mujoco.MjsGeom) -> bool:
     return geom.type in _MESH_TYPES or bool(geom.meshname)
 
 
-@dataclass
-class _Settled:
-    """Inertias in the file's axes that MuJoCo refuses (`unlike`), and missing meshes that give inertia (`absent`)."""
+def _settle_inertia(
+    spec: mujoco.MjSpec, folder: Path
+) -> tuple[dict[mujoco.MjsBody, tuple[float, Float[np.ndarray, "3 3"]]], dict[mujoco.MjsBody, str]]:
+    """Replace inertias that MuJoCo refuses, and delete meshes on which no body's inertia depends.
 
-    unlike: dict[mujoco.MjsBody, tuple[float, Float[np.ndarray, "3 3"]]] = field(default_factory=dict)
-    absent: dict[mujoco.MjsBody, str] = field(default_factory=dict)
-
-
-def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
-    """Replace inertias that MuJoCo refuses, and delete meshes on which no body's inertia depends."""
-    compiler, settled = spec.compiler, _Settled()
+    Returns:
+        The mass and inertia of each body that MuJoCo refuses, in the file's axes, and each body's missing mesh that
+        would give its inertia.
+    """
+    compiler, unlike, absent = spec.compiler, {}, {}
     meshes = {mesh.name: mesh for mesh in spec.meshes}
     for geom in [geom for geom in spec.worldbody.geoms if _needs_asset(geom)]:
         spec.delete(geom)
@@ -261,25 +267,25 @@ def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
         ]
         if missing:
             mesh = meshes.get(missing[0].meshname)
-            settled.absent[body] = missing[0].name if mesh is None else mesh.file
-            settled.unlike[body] = 0.0, np.zeros((3, 3))
+            absent[body] = missing[0].name if mesh is None else mesh.file
+            unlike[body] = 0.0, np.zeros((3, 3))
         elif giving:
             _put_ones(body)
             body.mass, body.explicitinertial, body.ipos = 0.0, False, [np.nan, 0.0, 0.0]
         elif not (compiler.boundmass > 0 and compiler.boundinertia > 0):
             mass, inertia = _explicit(body)
             if not _is_taken(mass, inertia, bool(body.joints), compiler.balanceinertia):
-                settled.unlike[body] = mass, inertia
+                unlike[body] = mass, inertia
         for geom in [geom for geom in body.geoms if _needs_asset(geom) and (missing or geom not in giving)]:
             spec.delete(geom)
-    if compiler.settotalmass > 0 and settled.unlike:
-        raise ValueError(f"settotalmass, but without a usable inertia of {listed([b.name for b in settled.unlike])}")
+    if compiler.settotalmass > 0 and unlike:
+        raise ValueError(f"settotalmass, but without a usable inertia of {listed([b.name for b in unlike])}")
     if compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_TRUE:  # each body now states its source
         compiler.inertiafromgeom = _FROM_GEOM.mjINERTIAFROMGEOM_AUTO
-    for body in settled.unlike:
+    for body in unlike:
         _put_ones(body)
     _delete_unused(spec)
-    return settled
+    return unlike, absent
 
 
 def _gives_inertia(geom: mujoco.MjsGeom, body: mujoco.MjsBody, compiler: mujoco.MjsCompiler) -> bool:
@@ -334,38 +340,12 @@ def _delete_unused(spec: mujoco.MjSpec) -> None:
         spec.delete(element)
 
 
-def _with_inertia(path: str, model: mujoco.MjModel, settled: _Settled, meshes: int, notes: list[str]) -> Source:
-    axes = np.stack([rotation(quaternion) for quaternion in model.body_iquat])
-    inertia = axes * model.body_inertia[:, None, :] @ axes.transpose(0, 2, 1)
-    mass, compiled = model.body_mass.copy(), np.ones(model.nbody, bool)
-    for body, (body_mass, body_inertia) in settled.unlike.items():
-        mass[body.id], inertia[body.id] = body_mass, axes[body.id] @ body_inertia @ axes[body.id].T
-        compiled[body.id] = False
-    absent = {body.id: file for body, file in settled.absent.items()}
-    return Source(path, model, mass, model.body_ipos.copy(), inertia, compiled, absent, meshes, notes)
-
-
 def _refuse_no_numbers(source: Source) -> None:
-    model, bodies = source.model, np.column_stack([source.mass, source.centre, source.inertia.reshape(-1, 9)])
-    kinds = {"body": ("body_", model.nbody), "joint": ("jnt_", model.njnt), "actuator": ("actuator_", model.nactuator)}
-    for kind, (prefix, count) in kinds.items():
-        fields = {name: np.asarray(getattr(model, name)) for name in dir(model) if name.startswith(prefix)}
-        rows = [field.reshape(count, -1) for field in fields.values() if count and field.shape[:1] == (count,)]
-        rows += [bodies] if kind == "body" else []
-        broken = [index for index in range(count) if not all(np.isfinite(row[index]).all() for row in rows)]
-        if broken:
-            name = getattr(model, kind)(broken[0]).name or f"number {broken[0]}"
-            source.fail(f"{kind} {name} has a number that is not finite (nan, inf); correct it")
+    model = source.model
+    fields = {name: getattr(model, name) for name in dir(model) if name.startswith(("body_", "jnt_", "actuator_"))}
     others = ("qpos0", "qpos_spring", "dof_armature", "dof_damping", "dof_frictionloss", "tendon_stiffness", "eq_data")
-    numbers = [np.ravel(getattr(model, name)) for name in others]
-    if not np.isfinite(np.concatenate([*numbers, [model.opt.timestep], model.opt.gravity])).all():
-        source.fail("it has a number that is not finite (nan, inf) at a joint, a tendon or in <option>; correct it")
-
-
-def _say_mass_of_shapes(spec: mujoco.MjSpec, source: Source) -> Iterator[str]:
-    """Yield a note on moving URDF links without <inertial>, to whose collision shapes only MuJoCo gives mass."""
-    bodies = [body for body in spec.bodies[1:] if not body.explicitinertial and source.mass[body.id] > 0]
-    moving = [body for body in bodies if source.model.body_weldid[body.id]]
-    if moving:
-        masses = [f"{body.name} ({source.mass[body.id]:.3g} kg)" for body in moving]
-        yield f"links without <inertial>: MuJoCo takes mass from their collision shapes, {listed(masses)}"
+    fields |= {name: getattr(model, name) for name in others} | {"body_mass": source.mass, "body_ipos": source.centre}
+    fields |= {"body_inertia": source.inertia, "timestep": model.opt.timestep, "gravity": model.opt.gravity}
+    for name, field in fields.items():
+        if not np.isfinite(field).all():
+            source.fail(f"{name} has a number that is not finite (nan, inf); correct it")

@@ -1,7 +1,7 @@
 """MJCF bodies of a robot with some joints fixed; bodies that move together are fused into rigid links."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -9,27 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.compiled import add_up, principal_axes, rotation
-from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.bench.robot_file.source import Source
 from frictionzoo.bench.template import in_full, joint_type
 
 _SOLIMP = np.array([0.9, 0.95, 0.001, 0.5, 2.0])  # MuJoCo's default, which the MJCF omits
 _LEAST = 1e-14
 """Mass [kg] and inertia [kg m^2] of a moving link without any: MuJoCo requires some, and these have no effect."""
 _UNPHYSICAL = 1e-9  # violation of the triangle inequality that counts as rounding, relative to the largest inertia
-
-
-@dataclass(frozen=True)
-class Link:
-    """Rigid group of the file's bodies `fused`, in the frame of the first, whose name may be empty.
-
-    Mass [kg], centre [m] and inertia about it in the body's axes [kg m^2] come from the file and may be unphysical.
-    """
-
-    name: str
-    fused: tuple[str, ...]
-    mass: float
-    centre: Float[np.ndarray, "3"]
-    inertia: Float[np.ndarray, "3 3"]
 
 
 @dataclass(frozen=True)
@@ -62,26 +48,30 @@ HERE = Place(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 class Tree:
     """Tree of fused bodies for moving `joints`; the other joints stay at their reference position.
 
-    Bodies named in `kept`, or all if `apart`, are not fused with their parents. `links` has the moving links and these
-    bodies, in MuJoCo's order.
+    Bodies named in `kept`, or all if `apart`, are not fused with their parents.
     """
 
     def __init__(self, source: Source, joints: Sequence[int], kept: Collection[str], apart: bool) -> None:
         self._source, self._joints = source, list(joints)
         model = source.model
-        jointed = {int(model.jnt_bodyid[joint]) for joint in joints}
+        self._jointed = {int(model.jnt_bodyid[joint]) for joint in joints}
         self._moves = np.zeros(model.nbody, bool)
         self._owner, self._place = np.zeros(model.nbody, int), [HERE] * model.nbody
         for body in range(1, model.nbody):
             parent = int(model.body_parentid[body])
-            self._moves[body] = self._moves[parent] or body in jointed
-            is_owner = body in jointed or apart or model.body(body).name in kept or self._lifted(body, parent)
+            self._moves[body] = self._moves[parent] or body in self._jointed
+            is_lifted = self._moves[body] and source.mass[body] > 0
+            is_lifted &= model.body_gravcomp[body] != model.body_gravcomp[self._owner[parent]]
+            is_owner = body in self._jointed or apart or model.body(body).name in kept or is_lifted
             self._owner[body] = body if is_owner else self._owner[parent]
             if not is_owner:
                 self._place[body] = self._place[parent].of(self._own_place(body))
-        self._jointed = jointed
-        self._refuse_unknown()
-        self.links: tuple[Link, ...] = tuple(self._link(body) for body in self._bodies())
+        for body, file in source.absent.items():
+            if self._moves[body]:
+                source.fail(
+                    f"the inertia of body {source.name('body', body)} would come from the mesh {file}, which is not "
+                    "there or no STL or OBJ; give the body an <inertial>, or put the mesh where the file says"
+                )
 
     def moves(self, body: int) -> bool:
         """Return whether a selected joint moves a body."""
@@ -91,42 +81,6 @@ class Tree:
         """Return whether no selected joint is between two bodies."""
         return self._anchor(body) == self._anchor(other)
 
-    def write(self, limits: bool) -> ET.Element:
-        """Return the `<worldbody>`, without geoms."""
-        elements = {0: ET.Element("worldbody")}
-        for body, link in zip(self._bodies(), self.links, strict=True):
-            parent = int(self._source.model.body_parentid[body])
-            elements[body] = self._body(body, link, self._place[parent].of(self._own_place(body)), limits)
-            elements[int(self._owner[parent])].append(elements[body])
-        self._source.notes += self._say_massless()
-        return elements[0]
-
-    def _body(self, body: int, link: Link, place: Place, limits: bool) -> ET.Element:
-        model = self._source.model
-        attributes = {"pos": in_full(place.position), "quat": in_full(place.quaternion)}
-        if model.body_gravcomp[body]:
-            attributes["gravcomp"] = in_full(model.body_gravcomp[body])
-        element = ET.Element("body", ({"name": link.name} if link.name else {}) | attributes)
-        element.extend(self._joint(joint, limits) for joint in self._joints if model.jnt_bodyid[joint] == body)
-        if link.mass > 0 or link.inertia.any() or body in self._jointed:
-            element.append(self._inertial(body, link))
-        return element
-
-    def _say_massless(self) -> Iterator[str]:
-        jointed = [link for body, link in zip(self._bodies(), self.links, strict=True) if body in self._jointed]
-        massless = [link.name for link in jointed if link.mass < _LEAST or np.linalg.norm(link.inertia) < _LEAST]
-        if massless:
-            yield (
-                f"{len(massless)} moving links have no mass or no inertia ({listed(massless)}): they get {_LEAST:g} kg "
-                "and kg m^2, which MuJoCo requires"
-            )
-
-    def _bodies(self) -> list[int]:
-        return [body for body in range(1, len(self._owner)) if self._owner[body] == body]
-
-    def _members(self, body: int) -> list[int]:
-        return [member for member in range(1, len(self._owner)) if self._owner[member] == body]
-
     def _anchor(self, body: int) -> int:
         while body and body not in self._jointed:
             body = int(self._source.model.body_parentid[body])
@@ -135,41 +89,56 @@ class Tree:
     def _own_place(self, body: int) -> Place:
         return Place(self._source.model.body_pos[body].copy(), self._source.model.body_quat[body].copy())
 
-    def _lifted(self, body: int, parent: int) -> bool:
-        lift, owner = self._source.model.body_gravcomp, self._owner[parent]
-        return bool(self._moves[body] and self._source.mass[body] > 0 and lift[body] != lift[owner])
+    def write(self, limits: bool) -> ET.Element:
+        """Return the `<worldbody>`, without geoms."""
+        elements, massless, model = {0: ET.Element("worldbody")}, [], self._source.model
+        for body in (body for body in range(1, model.nbody) if self._owner[body] == body):
+            parent, name = int(model.body_parentid[body]), model.body(body).name
+            place = self._place[parent].of(self._own_place(body))
+            attributes = {"pos": in_full(place.position), "quat": in_full(place.quaternion)}
+            if model.body_gravcomp[body]:
+                attributes["gravcomp"] = in_full(model.body_gravcomp[body])
+            element = elements[body] = ET.Element("body", ({"name": name} if name else {}) | attributes)
+            element.extend(self._joint(joint, limits) for joint in self._joints if model.jnt_bodyid[joint] == body)
+            mass, centre, inertia = self._fuse(body)
+            if mass > 0 or inertia.any() or body in self._jointed:
+                element.append(self._inertial(body, mass, centre, inertia))
+            if body in self._jointed and (mass < _LEAST or np.linalg.norm(inertia) < _LEAST):
+                massless.append(name)
+            elements[int(self._owner[parent])].append(element)
+        self._source.note(
+            f"{{n}} moving links have no mass or no inertia ({{}}): they get {_LEAST:g} kg and kg m^2, which MuJoCo "
+            "requires",
+            massless,
+        )
+        return elements[0]
 
-    def _refuse_unknown(self) -> None:
-        for body, file in self._source.absent.items():
-            if self._moves[body]:
-                self._source.fail(
-                    f"the inertia of body {self._source.name(body)} would come from the mesh {file}, which is not "
-                    "there or no STL or OBJ; give the body an <inertial>, or put the mesh where the file says"
-                )
+    def _members(self, body: int) -> list[int]:
+        return [member for member in range(1, len(self._owner)) if self._owner[member] == body]
 
-    def _link(self, body: int) -> Link:
-        source, members = self._source, self._members(body)
-        weighing = [member for member in members if source.mass[member] or source.inertia[member].any()]
+    def _fuse(self, body: int) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """Return mass, centre and inertia of all bodies fused with this one, in its frame; they may be unphysical."""
+        source = self._source
+        weighing = [member for member in self._members(body) if source.mass[member] or source.inertia[member].any()]
         centres = np.array([self._place[member].point(source.centre[member]) for member in weighing]).reshape(-1, 3)
         inertias = np.array([self._place[member].turned(source.inertia[member]) for member in weighing])
-        mass, centre, inertia = add_up(source.mass[weighing], centres, inertias.reshape(-1, 3, 3))
-        names = tuple(source.model.body(member).name for member in members)
-        return Link(names[0], names, mass, centre, inertia)
+        return add_up(source.mass[weighing], centres, inertias.reshape(-1, 3, 3))
 
-    def _inertial(self, body: int, link: Link) -> ET.Element:
+    def _inertial(
+        self, body: int, mass: float, centre: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]
+    ) -> ET.Element:
         model = self._source.model
         weighing = [member for member in self._members(body) if self._source.mass[member]]
         if weighing == [body] and self._source.compiled[body]:  # bit-identical to the compiled file
             mass, centre = model.body_mass[body], model.body_ipos[body]
             principal, quaternion = model.body_inertia[body], model.body_iquat[body]
         else:
-            centre = link.centre
-            mass, principal, quaternion, changed = _physical(link.mass, link.inertia)
+            mass, principal, quaternion, changed = _physical(mass, inertia)
             if changed:
-                moments = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(link.inertia))
-                self._source.notes.append(
-                    f"the inertia of link {link.name} is not physical (principal moments {moments} kg m^2), "
-                    f"which MuJoCo refuses: taken as {', '.join(f'{moment:.3g}' for moment in np.sort(principal))}"
+                moments = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(inertia))
+                self._source.note(
+                    f"the inertia of link {model.body(body).name} is not physical (principal moments {moments} "
+                    f"kg m^2), which MuJoCo refuses: taken as {', '.join(f'{m:.3g}' for m in np.sort(principal))}"
                 )
         inertial = {"pos": centre, "quat": quaternion, "mass": mass, "diaginertia": principal}
         return ET.Element("inertial", {name: in_full(value) for name, value in inertial.items()})
