@@ -261,15 +261,3 @@ def test_doubts_look_at_all_commands(leg: Any) -> None:
         assert any("takes energy from the drive" in doubt.text for doubt in told_of)
     follows = bench.accept(read(move(told, GAINS)))
     assert check_up(Dataset("robot", (follows,), (follows,)), bench, "strict") == []
-
-
-def test_a_rollout_in_torch_takes_what_is_given(leg: Any, make: Any) -> None:
-    bench: Bench = leg(fz.JointPD(**GAINS))
-    law: FrictionModel = make("model", "model=baseline", nv=2)
-    states = torch.zeros(2, 1, 2, dtype=torch.float64)
-    ctrl = torch.ones(1, 4, 2, dtype=torch.float64)
-    plain, _ = fz.rollout(bench, law, *states, ctrl)
-    ahead, _ = fz.rollout(bench, law, *states, ctrl, signals={"ctrl_velocity": 20 * ctrl})  # kp 1 = kd 20
-    both, _ = fz.rollout(bench, law, *states, 2 * ctrl)
-    torch.testing.assert_close(ahead, both)
-    assert not torch.allclose(plain, both)

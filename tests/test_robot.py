@@ -87,14 +87,9 @@ def test_bristles_of_dc_motors_are_where_laws_of_bristles_begin(dog: Callable[..
     law = fz.law("lugre", 4)
     own = {name: param.each("init", 4)[0] for name, param in law.params.items()}
     begun = robot.initial_friction(law.params)
-    told = {
-        "stiffness": 80,
-        "micro_damping": 0.7,
-        "kinetic_torque": 0.1,
-        "static_torque": 0.2,
-        "stribeck_velocity": 0.05,
-    }
-    for name, value in (told | {"viscous_coefficient": 0.1}).items():  # that of the joint
+    told = {"stiffness": 80, "micro_damping": 0.7, "kinetic_torque": 0.1, "static_torque": 0.2}
+    told |= {"stribeck_velocity": 0.05, "viscous_coefficient": 0.1}  # the latter of the joint
+    for name, value in told.items():
         np.testing.assert_allclose(begun[name], [own[name], value] * 2, rtol=1e-15)
     assert robot.initial_friction(fz.law("dahl", 4).params)["coulomb_torque"][1] == 0.1
     assert set(robot.initial_friction(fz.law("coulomb_stribeck", 4).params)) == set()

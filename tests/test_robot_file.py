@@ -31,6 +31,10 @@ def makers() -> Iterator[ModuleType]:
         yield module
 
 
+GEOMS = ('<geom type="mesh" mesh="shell"/>', '<geom size="0.05" group="1"/><geom size="1" group="3"/>')
+FROM_GEOMS = ('angle="degree"', 'angle="degree" inertiafromgeom="true" inertiagrouprange="0 1"')
+ROUND = ('type="mesh" mesh="shell" material="m"', 'size=".1"')
+WEIGHTLESS = ('9.7"/>', '9.7"><flag gravity="disable"/></option>')
 CASES = {
     "a leg, all joints": (LEG, None),
     "a leg, one joint": (LEG, "knee"),
@@ -38,25 +42,10 @@ CASES = {
     "an arm": (ARM, None),
     "an arm, its elbow": (ARM, ["elbow"]),
     "a gripper whose fingers move together": (GRIPPER, None),
-    "geoms before <inertial>": (
-        changed(
-            LEG,
-            ('<geom type="mesh" mesh="shell"/>', '<geom size="0.05" group="1"/><geom size="1" group="3"/>'),
-            ('angle="degree"', 'angle="degree" inertiafromgeom="true" inertiagrouprange="0 1"'),
-        ),
-        None,
-    ),
-    "a mass in all": (
-        changed(LEG, ('"degree"', '"degree" settotalmass="7"'), ('type="mesh" mesh="shell" material="m"', 'size=".1"')),
-        None,
-    ),
+    "geoms before <inertial>": (changed(LEG, GEOMS, FROM_GEOMS), None),
+    "a mass in all": (changed(LEG, ('"degree"', '"degree" settotalmass="7"'), ROUND), None),
     "a tendon with a spring": (changed(LEG, ("<sensor>", TENDON + "<sensor>")), ["hip", "toe"]),
-    "without gravity": (
-        changed(
-            LEG, ("<option", '<option integrator="implicitfast"'), ('9.7"/>', '9.7"><flag gravity="disable"/></option>')
-        ),
-        None,
-    ),
+    "without gravity": (changed(LEG, ("<option", '<option integrator="implicitfast"'), WEIGHTLESS), None),
 }
 
 
@@ -166,13 +155,8 @@ def test_bodies_that_move_as_one_become_one(tmp_path: Path) -> None:
     assert bodies_of(robot) == ["thigh", "shin", "foot", "toe"]  # gravity acts differently on the foot
     mass = 1000 * 8 * 0.03 * 0.02 * 0.01 + 400 * np.pi * 0.03**2 * (0.2 + 0.04)
     assert compiled(robot).body("thigh").mass == pytest.approx(mass)
-    assert bodies_of(read(tmp_path, LEG, ["hip", "knee"], keep=["toe", "pad"])) == [
-        "thigh",
-        "pad",
-        "shin",
-        "foot",
-        "toe",
-    ]
+    kept = read(tmp_path, LEG, ["hip", "knee"], keep=["toe", "pad"])
+    assert bodies_of(kept) == ["thigh", "pad", "shin", "foot", "toe"]
     with pytest.raises(BenchError, match=r"no body tow; did you mean toe\?"):
         read(tmp_path, LEG, keep=["tow"])
 

@@ -1,4 +1,4 @@
-"""The specialised engine against MuJoCo C, which is the oracle, and against stock MJX, whose gradients it must have."""
+"""The specialised engine against MuJoCo C, which is the oracle."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,10 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import slow_but
-from mujoco import mjx
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.bench.compiled import can_collide, rigid_inertia
+from frictionzoo.bench.compiled import can_collide
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.state import FrictionTerms, Signals
 from frictionzoo.simulation import MjxEngine, SpecialisedEngine, make_engine, without_memory
@@ -120,27 +119,6 @@ def steps_in_c(bench: Bench, cases: dict[str, np.ndarray], constraint: bool) -> 
     return after
 
 
-def stock_step(bench: Bench) -> Any:
-    """`mjx.step` of one joint with dry friction, untouched, with these values in its model."""
-    compiled = bench.compile(constraint=True)
-    model = mjx.put_model(compiled)
-    fresh = mjx.make_data(model)
-    inertia = rigid_inertia(compiled)[0, 0]
-
-    def step(case: dict[str, Any]) -> jax.Array:
-        own = model.replace(
-            dof_armature=case["armature"],
-            dof_damping=case["damping"],
-            dof_invweight0=1 / (inertia + case["armature"]),
-            dof_frictionloss=case["frictionloss"],
-        ).tree_replace({"opt.iterations": 1})
-        data = fresh.replace(qpos=case["qpos"], qvel=case["qvel"], ctrl=case["ctrl"], qfrc_applied=-case["torque"])
-        data = mjx.step(own, data)
-        return jnp.stack([data.qpos, data.qvel])
-
-    return step
-
-
 def change(cases: dict[str, np.ndarray], size: float) -> dict[str, np.ndarray]:
     """The cases, each moved a little in a random direction of its own."""
     rng = np.random.default_rng(5)
@@ -199,17 +177,6 @@ def test_a_bench_without_friction_constraints_serves_laws_that_need_none(tmp_pat
     np.testing.assert_allclose(after, steps_in_c(bench, cases, False), rtol=0, atol=1e-12)
     with pytest.raises(BenchError, match="disables friction constraints, which this friction model needs"):
         SpecialisedEngine(bench, law(True), True)
-
-
-@pytest.mark.slow
-def test_gradients_equal_those_of_mjx(tmp_path: Path) -> None:
-    bench = make_bench(tmp_path, f"<body>{BODIES['inclined axis, off-axis mass']}</body>", "implicitfast")
-    cases = random_cases(500, 1)
-    ours, after = compiled(step_of(SpecialisedEngine(bench, law(True), True), bench), WEIGHTS)(cases)
-    stock, expected = compiled(stock_step(bench), WEIGHTS)(cases)
-    np.testing.assert_allclose(after, expected, rtol=0, atol=1e-12)
-    for name, gradient in ours.items():
-        np.testing.assert_allclose(gradient, stock[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
 
 @pytest.mark.parametrize("joints", slow_but([2], [2, 3]))
