@@ -271,7 +271,7 @@ def _list_unknown(after: Source, joints: Sequence[str]) -> tuple[str, ...]:
         start = model.body_jntadr[body]
         identified = ids & set(range(start, start + model.body_jntnum[body]))
         moved[body] = moved[model.body_parentid[body]] or bool(identified)
-    return tuple(after.name(body) for body in np.flatnonzero(moved & ~after.compiled).tolist())
+    return tuple(after.name("body", body) for body in np.flatnonzero(moved & ~after.compiled).tolist())
 
 
 def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], before: Source) -> list[str]:
