@@ -1,6 +1,6 @@
 """Robots' own files: what is read of them moves as MuJoCo C moves the file itself."""
 
-import importlib.util
+import importlib
 import re
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution
@@ -24,11 +24,7 @@ def makers() -> Iterator[ModuleType]:
     """The benchmark that compares with MuJoCo C."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT / "benchmarks")
-        spec = importlib.util.spec_from_file_location("robot_files", ROOT / "benchmarks" / "robot_files.py")
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        yield module
+        yield importlib.import_module("robot_files")
 
 
 GEOMS = ('<geom type="mesh" mesh="shell"/>', '<geom size="0.05" group="1"/><geom size="1" group="3"/>')

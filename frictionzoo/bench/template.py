@@ -2,7 +2,7 @@
 
 import copy
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
@@ -13,7 +13,7 @@ import numpy as np
 from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT
 from frictionzoo.bench.inertia import SYMBOLS, from_parameters, is_consistent, to_parameters
 from frictionzoo.core.errors import BenchError, ConfigError, closest
-from frictionzoo.core.params import AUTO
+from frictionzoo.core.params import AUTO, fits
 from frictionzoo.core.xml import write_comment, write_xml
 
 INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
@@ -215,12 +215,7 @@ class Template:
                 listed = ", ".join(name or "(unnamed)" for name in names) or "none"
                 self._fail(f"joints {listed}, expected one named joint; set bench.joint")
             return (names[0],)
-        wanted = read_joints(joint)
-        for name in wanted:
-            if name not in names:
-                self._fail(f"no joint {name}; {closest(name, filter(None, names))}; set bench.joint")
-        refuse_other_order(self.source, wanted, names)
-        return tuple(wanted)
+        return tuple(choose_joints(self.source, joint, names))
 
     def _refuse_clashes(self) -> None:
         if self._root.find(".//include") is not None:
@@ -276,25 +271,32 @@ def joint_type(kind: int | np.integer) -> str:
     return mujoco.mjtJoint(int(kind)).name.removeprefix("mjJNT_").lower()
 
 
-def read_joints(joint: str | int | Sequence[str | int]) -> list[str]:
-    """Return the names in `bench.joint`; the command line parses a name such as 0 as a number."""
-    return [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
+def choose_joints(source: str, joint: str | int | Sequence[str | int], names: Sequence[str]) -> list[str]:
+    """Return the joints in `bench.joint`, names or regular expressions of whole names, in the order of `names`.
 
-
-def refuse_other_order(source: str, wanted: Sequence[str], names: Iterable[str]) -> None:
-    """Refuse joints whose order differs from `names` in the file `source`.
-
-    The recording's columns follow `bench.joint`: another order would silently swap the joints.
+    Columns of recordings follow `bench.joint`: names in another order than in the file would silently swap joints.
 
     Raises:
-        BenchError: The order differs, or a joint occurs twice.
+        BenchError: There is no such joint, a name occurs twice, or the order differs from the file `source`.
+        ConfigError: A regular expression is invalid.
     """
-    ordered = [name for name in names if name in wanted]
-    if wanted != ordered:
+    # The command line parses a name such as 0 as a number.
+    wanted = [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
+    listed = [name for name in wanted if name in names]
+    chosen = set(listed)
+    for pattern in [name for name in wanted if name not in names]:
+        matching = {name for name in names if name and fits(pattern, name, "bench.joint")}
+        if not matching:
+            choices = closest(pattern, filter(None, names))
+            raise BenchError(f"{source}: no joint {pattern}; {choices}; set bench.joint")
+        chosen |= matching
+    ordered = [name for name in names if name in listed]
+    if listed != ordered:
         raise BenchError(
             f"bench.joint=[{', '.join(wanted)}]: expected each joint once in the order of {source}, "
             f"[{', '.join(ordered)}]; change it, and data.columns with it"
         )
+    return [name for name in names if name in chosen]
 
 
 def read_options(

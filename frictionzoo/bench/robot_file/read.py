@@ -1,6 +1,5 @@
 """Reading of a robot's file, MJCF or URDF, for a bench."""
 
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from frictionzoo.bench.robot_file.couplings import add_contacts, add_equalities,
 from frictionzoo.bench.robot_file.options import acting, is_fluid, write_option
 from frictionzoo.bench.robot_file.source import Source, listed, load
 from frictionzoo.bench.robot_file.tree import Tree
-from frictionzoo.bench.template import DEFAULT_SOLREFFRICTION, Joints, joint_type, read_joints, refuse_other_order
+from frictionzoo.bench.template import DEFAULT_SOLREFFRICTION, Joints, choose_joints, joint_type
 from frictionzoo.core.errors import ConfigError, closest
 
 _IMPLICIT = {mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST}
@@ -128,37 +127,17 @@ def refuse_other(option: str, value: str, choices: Sequence[str]) -> None:
 
 
 def _choose_joints(source: Source, joint: Joints) -> list[int]:
-    """Return the indices of the joints with these names or regular expressions of whole names, in MuJoCo's order."""
-    kinds = {index: joint_type(kind) for index, kind in enumerate(source.model.jnt_type)}
-    names = {source.model.joint(index).name: index for index, kind in kinds.items() if kind in ("hinge", "slide")}
-    if joint is None:
-        if "" in names:
-            source.fail("it has joints without a name, expected a name for each; list the joints in bench.joint")
-        wanted = [".*"]
-    else:
-        wanted = read_joints(joint)
-    if not names or not wanted:
+    """Return the indices of the joints with these names or regular expressions of whole names; None for all."""
+    kinds = map(joint_type, source.model.jnt_type)
+    names = {source.model.joint(index).name: index for index, kind in enumerate(kinds) if kind in ("hinge", "slide")}
+    if joint is None and "" in names:
+        source.fail("it has joints without a name, expected a name for each; list the joints in bench.joint")
+    chosen = choose_joints(source.path, ".*" if joint is None else joint, list(names)) if names else []
+    if not chosen:
         source.fail(
             "no hinge and no slide is chosen, expected joints that move; set bench.joint, or another bench.mjcf"
         )
-    for name in wanted:
-        if name not in names and not _matching(name, names):
-            indices = [index for index in kinds if source.model.joint(index).name == name]
-            problem = (
-                f"joint {name} is a {kinds[indices[0]]} joint, expected a hinge or a slide"
-                if indices
-                else f"no joint {name}"
-            )
-            source.fail(f"{problem}; {closest(name, filter(None, names))}; set bench.joint")
-    refuse_other_order(source.path, [name for name in wanted if name in names], names)
-    return sorted({index for name in wanted for index in ([names[name]] if name in names else _matching(name, names))})
-
-
-def _matching(pattern: str, names: dict[str, int]) -> list[int]:
-    try:
-        return [index for name, index in names.items() if name and re.fullmatch(pattern, name)]
-    except re.error:
-        return []
+    return [names[name] for name in chosen]
 
 
 def _say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> None:
