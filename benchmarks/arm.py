@@ -183,7 +183,7 @@ def solve(
     """Identify the drives with these links; return values and relative standard errors by name."""
     space = Space(recordings.bench, recordings.model, "float64")
     equation = TorqueEquation(space, recordings, fit.filtering, fit.held)
-    found = balance(equation.lack, equation.slope, equation.box, equation.moving)
+    found = balance(equation)
     names = {name: name.partition(".")[2] for name in space.params}
     values = {names[name]: value for name, value in space.physical(found.vector).items()}
     wide = space.physical(found.vector + found.errors)

@@ -89,7 +89,7 @@ def equation_of(bench: Bench, law: FrictionModel, *logs: Log, held: bool = False
 
 def solve(equation: TorqueEquation) -> dict[str, np.ndarray]:
     """Physical values of what was identified."""
-    found = balance(equation.lack, equation.slope, equation.box, equation.moving)
+    found = balance(equation)
     return equation._space.physical(found.vector)
 
 
@@ -127,7 +127,7 @@ def test_two_logs_noise_and_shared_values(arm_file: Path) -> None:
         torque = needed(model, motion) + 0.2 * rng.normal(size=motion[0].shape)
         logs.append(log_of(motion[0] + 1e-5 * rng.normal(size=motion[0].shape), torque, str(seed)))
     equation = equation_of(bench, law_of("mujoco_default", 5, damping={"tie": {"wrist": "joint[34]"}}), *logs)
-    found = balance(equation.lack, equation.slope, equation.box, equation.moving)
+    found = balance(equation)
     values = equation._space.physical(found.vector)
     np.testing.assert_allclose(values["bench.armature"], TRUTH["armature"], rtol=0.03)
     assert values["friction.damping"][3] == values["friction.damping"][4]
@@ -225,10 +225,10 @@ def test_link_inertia_is_found_as_far_as_the_data_tell(arm_file: Path, monkeypat
         noise = 2e-6 * rng.normal(size=motion[0].shape)
         logs.append(log_of(motion[0] + noise, needed(model, motion), str(seed)))
     equation = equation_of(bench, law_of("mujoco_default", 5), *logs)
-    links = equation.links(bodies, SPREAD)
+    links = Links.of(equation, bodies, SPREAD)
     look = Links.prior
     monkeypatch.setattr(Links, "prior", lambda self, parameters: seen.append(parameters) or look(self, parameters))
-    found = balance(equation.lack, equation.slope, equation.box, equation.moving, links)
+    found = balance(equation, links)
     assert len(seen) > 10 and all(is_consistent(parameters).all() for parameters in seen)
 
     # Of all that acts on torque linearly, combinations count; armatures first, for they are what is looked for.
@@ -348,7 +348,7 @@ def test_a_base_that_stands_askew_is_told_by_its_vertical_joint(arm_file: Path, 
         equation_of(drive, law, log_of(motion[0], torque))
         for drive in (level, build(describe(level.with_gravity(found.tilt.gravity.tolist()))))
     )
-    left = [np.std(balance(e.lack, e.slope, e.box, e.moving).residual[:, 0]) for e in (upright, leaning)]
+    left = [np.std(balance(e).residual[:, 0]) for e in (upright, leaning)]
     assert left[1] < 0.5 * left[0]
 
 
@@ -363,7 +363,7 @@ def test_gravity_that_cannot_be_is_refused(arm_file: Path) -> None:
 
 def balance_rms(equation: TorqueEquation) -> np.ndarray:
     """Torque that is left of each joint at the best coordinates."""
-    found = balance(equation.lack, equation.slope, equation.box, equation.moving)
+    found = balance(equation)
     left, driving = equation.lack(found.vector), equation.driving(found.vector)
     rms, torque = (np.sqrt(np.mean(np.square(part), axis=0)) for part in (left, driving))
     assert (rms < torque).all()
@@ -377,7 +377,7 @@ def test_a_gear_that_couples_two_joints_is_told(arm_file: Path) -> None:
     both = motion[:, :, 3] + motion[:, :, 4]
     torque[:, 3:] += (0.3 * both[2] + 0.5 * np.sign(both[1]) + 0.4 * both[1])[:, None]
     equation = equation_of(bench, law, log_of(motion[0], torque))
-    found = balance(equation.lack, equation.slope, equation.box, equation.moving)
+    found = balance(equation)
     assert list(equation.couplings(found.vector)) == [(3, 4)]
 
 

@@ -16,9 +16,8 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt, Several
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.contained import Part
-from frictionzoo.fit.lm import descend
 from frictionzoo.fit.motion import Recordings
-from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.normal_equations import NormalEquations, descend
 from frictionzoo.fit.several import _is_near
 from frictionzoo.fit.space import Box
 from frictionzoo.models import model_names
@@ -128,7 +127,7 @@ def test_a_search_may_begin_at_a_bound_beside_which_rollouts_diverge() -> None:
         loss = float(away @ away) if vector[0] == 0 else np.inf
         return NormalEquations(loss, away, np.eye(1))
 
-    found, loss = descend(evaluate, Box(np.zeros(1), np.zeros(1), np.full(1, 2.0)), 20, 1e-6)
+    found, loss, _ = descend(evaluate, Box(np.zeros(1), np.zeros(1), np.full(1, 2.0)), 20, 1e-6)
     assert (found, loss) == (0.0, 1.0)
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import nnls
 
 from frictionzoo.core.errors import ExportError, RunError
 from frictionzoo.core.params import UNITS
@@ -19,7 +19,7 @@ from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.blocks import divide, into_blocks
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
-from frictionzoo.fit.normal_equations import NormalEquations, compress
+from frictionzoo.fit.normal_equations import trust_region
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.mujoco_default import MujocoDefault
@@ -183,28 +183,8 @@ def _mix(fitted: FittedDrive, values: Values, exact: Bool[np.ndarray, "nv"]) -> 
 
 def _descend(objective: Objective) -> tuple[Float[np.ndarray, "coordinates"], float]:
     """Minimise the objective from its initial vector; return the solution and the root mean square distance."""
-    evaluate, space, evaluations = objective.compile_normal_equations(), objective.space, list[NormalEquations]()
-    low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
-
-    def unit() -> float:
-        return evaluations[0].loss or 1.0  # makes tolerances relative to the initial loss
-
-    def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
-        evaluations.append(evaluate(vector))
-        return compress(evaluations[-1], unit())[0]
-
-    solution = least_squares(
-        residuals,
-        np.clip(start, low, high),
-        jac=lambda vector: compress(evaluations[-1], unit())[1],  # pyright: ignore[reportArgumentType] - one of its kinds
-        bounds=(low, high),
-        x_scale="jac",
-        ftol=_CLOSE,
-        xtol=_CLOSE,
-        gtol=_CLOSE,
-        max_nfev=_ITERATIONS,
-    )
-    return solution.x, float(np.sqrt(2 * solution.cost * unit()))
+    vector, loss, _ = trust_region(objective.compile_normal_equations(), objective.space.box, _ITERATIONS, _CLOSE)
+    return vector, float(np.sqrt(loss))
 
 
 def _refit(

@@ -83,30 +83,20 @@ class InverseDynamics(Fit):
 
     def revise(self, recordings: Recordings) -> LinkInertia | None:
         """See `Fit.revise`; identifies link inertia and gravity if asked to."""
-        bench, model, _ = recordings
         if not self._links and not self._tilt:
             return None
-        space = Space(bench, model, jnp.result_type(float))
+        space = Space(recordings.bench, recordings.model, jnp.result_type(float))
         refuse_many(space, *_REMEDY)
-        if self._tilt:
-            return self._revise_leaning(recordings, space)
-        equation = TorqueEquation(space, recordings, self.filtering, self.held)
-        return identify_links(equation, bench.compile(constraint=False), self._links, self._prior)
-
-    def _revise_leaning(self, recordings: Recordings, space: Space) -> LinkInertia:
-        """Identify links and gravity in turn, because the links' weight depends on both."""
         bench = weighed = recordings.bench
-        tilt = Tilt.upright(bench.compile(constraint=False).opt.gravity.copy())
-        for _ in range(_PASSES):
-            leaning = bench.with_gravity(tilt.gravity.tolist())
-            equation = TorqueEquation(space, recordings._replace(bench=leaning), self.filtering, self.held)
-            tilted = Tilted(equation, tilt, weighed)
-            result = identify_links(tilted, leaning.compile(constraint=False), self._links, self._prior)
-            assert result.tilt is not None
-            change, weighed = np.abs(result.tilt.leaning - tilt.leaning), bench.with_inertia(result.inertia)
-            tilt = result.tilt
-            if (change < _LEVEL).all():
+        tilt = Tilt.upright(bench.compile(constraint=False).opt.gravity.copy()) if self._tilt else None
+        for _ in range(_PASSES):  # links and gravity in turn, because the links' weight depends on both
+            leaning = bench.with_gravity(tilt.gravity.tolist()) if tilt else bench
+            how = space, recordings._replace(bench=leaning), self.filtering, self.held
+            equation = Tilted(*how, tilt, weighed) if tilt else TorqueEquation(*how)
+            result = identify_links(equation, leaning.compile(constraint=False), self._links, self._prior)
+            if tilt is None or result.tilt is None or (np.abs(result.tilt.leaning - tilt.leaning) < _LEVEL).all():
                 break
+            tilt, weighed = result.tilt, bench.with_inertia(result.inertia)
         return result
 
     def total(self, objective: Objective) -> int:
@@ -139,7 +129,7 @@ class InverseDynamics(Fit):
         equations, _ = equation.scores(np.asarray(vector, np.float64))
         evaluation = Evaluation(equations.loss, 2 * equations.gradient, not np.isfinite(equations.loss))
         if state == 0 and not evaluation.lost:
-            vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
+            vector = balance(equation).vector
             for (one, other), share in equation.couplings(vector).items():
                 _log.warning(
                     "%s and %s: the other joint's motion explains %.0f %% of the residual torque, as with a gear that "

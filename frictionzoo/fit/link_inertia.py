@@ -116,7 +116,7 @@ def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
 
 
 def identify_links(
-    equation: TorqueEquation | Tilted, model: mujoco.MjModel, patterns: Sequence[str], prior: Mapping[str, float]
+    equation: TorqueEquation, model: mujoco.MjModel, patterns: Sequence[str], prior: Mapping[str, float]
 ) -> LinkInertia:
     """Identify the inertia of links together with an equation's coordinates, whose values are not kept.
 
@@ -128,8 +128,8 @@ def identify_links(
     """
     bodies = choose_bodies(model, patterns)
     names = tuple(model.body(body).name for body in bodies)
-    links = equation.links(bodies, spread_of(prior)) if bodies else None
-    balanced = balance(equation.lack, equation.slope, equation.box, equation.moving, links)
+    links = Links.of(equation, bodies, spread_of(prior)) if bodies else None
+    balanced = balance(equation, links)
     base, scale = _base(equation, balanced, links, names)
     values = np.concatenate([equation.physical(balanced.vector), balanced.bodies.ravel()])
     information = balanced.information / np.outer(scale, scale)
@@ -142,7 +142,7 @@ def identify_links(
 
 
 def _base(
-    equation: TorqueEquation | Tilted, found: Balance, links: Links | None, names: Sequence[str]
+    equation: TorqueEquation, found: Balance, links: Links | None, names: Sequence[str]
 ) -> tuple[BaseParameters, Float[np.ndarray, "all"]]:
     """Return the base parameters of the recordings, and the derivative of physical values by coordinates."""
     columns = append_links(equation.slope(found.vector), links)

@@ -1,25 +1,20 @@
 """Levenberg-Marquardt with exact Jacobians, by scipy's trust-region solver for bounded least squares."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Evaluation, Fit, as_start, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.normal_equations import Evaluate, NormalEquations, bounded_step, compress
+from frictionzoo.fit.normal_equations import NormalEquations, trust_region
 from frictionzoo.fit.objective import Objective
-from frictionzoo.fit.space import Box, Space
+from frictionzoo.fit.space import Space
 
 MOST_TRIES = 10_000  # the Hessian of every try is kept; ten tries are usual
 MOST_COORDINATES = 200  # the Jacobian has a column per coordinate; more coordinates are a network's weights
 _ALIKE = 1e-2  # relative difference up to which two losses count as equal
-_LEAST = 1e-6  # damping, as a share of each curvature: combinations that the data do not determine do not move
-_SLOW = 0.8  # share of the loss, after `patience` vectors, above which a search has become slow
-_SOFT, _STIFFEST = 0.1, 1e6  # damping after a failed step, and above which only rounding could lower the loss
 _SLACK = 30.0  # multiples of the floating-point precision below which a change of the loss is rounding
 
 
@@ -145,78 +140,19 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
     The solver cannot be paused. It runs again from the start on the recorded results, a fraction of a millisecond per
     vector, and asks for the same vectors in the same order.
     """
-    space, asked = objective.space, [state.asked]
+    space, replayed, asked = objective.space, 0, state.asked
     tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
-    start, low, high = space.box
-    unit = float(state.loss[0]) or 1.0  # makes the tolerances relative to the initial loss
-    replayed: list[NormalEquations] = []
 
-    def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
-        row = len(replayed)
-        if row == int(state.tried):
-            asked.append(vector.copy())
+    def replay(vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
+        nonlocal replayed, asked
+        if replayed == int(state.tried):
+            asked = vector.copy()
             raise _AskedError
-        equations = NormalEquations(*(part[row] for part in (state.loss, state.gradient, state.hessian)))
-        replayed.append(equations)
-        if not equations.finite:
-            return np.full(len(vector) + 1, np.inf)  # the solver rejects the step and tries a shorter one
-        finite.append(equations)
-        return compress(equations, unit)[0]
+        replayed += 1
+        return NormalEquations(*(part[replayed - 1] for part in (state.loss, state.gradient, state.hessian)))
 
-    finite: list[NormalEquations] = []
     try:
-        result = scipy.optimize.least_squares(
-            residuals,
-            np.clip(start, low, high),
-            jac=lambda vector: compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
-            bounds=(low, high),
-            x_scale="jac",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=tolerance,
-            max_nfev=len(state.loss),
-        )
+        converged = trust_region(replay, space.box, len(state.loss), tolerance)[2]
     except _AskedError:
-        return state._replace(asked=asked[-1])
-    return state._replace(ended=np.asarray(result.status > 0))  # 0: all iterations used
-
-
-def descend(
-    evaluate: Evaluate,
-    box: Box,
-    tries: int,
-    tolerance: float,
-    enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
-    patience: int | None = None,
-) -> tuple[Float[np.ndarray, "coordinates"], float]:
-    """Minimise a sum of squares by Levenberg-Marquardt steps within bounds.
-
-    Each step goes to the minimum of the objective's quadratic model within the bounds. scipy's steps go at most half
-    the way to a bound, and shorten the step of all other coordinates with it.
-
-    The search ends after `tries` vectors; when the predicted decrease is below the share `tolerance` of the objective;
-    when `enough` holds for the next vector, before that is tried; or when the loss falls by less than a fifth within
-    `patience` vectors, None for any progress.
-
-    Returns:
-        The best vector and its loss; infinite where the objective is not finite at the start.
-    """
-    best, damping, losses = np.clip(*box), _LEAST, list[float]()
-    equations = evaluate(best)
-    if not equations.finite:
-        return best, np.inf
-    for _ in range(tries - 1):
-        losses.append(equations.loss)
-        if patience is not None and len(losses) > patience and equations.loss > _SLOW * losses[-1 - patience]:
-            break
-        stiff = equations.hessian * (1 + damping * np.eye(len(best)))
-        step = bounded_step(equations.gradient, stiff, box.low - best, box.high - best)
-        decrease = -float(2 * step @ equations.gradient + step @ equations.hessian @ step)
-        if decrease <= tolerance * equations.loss or damping > _STIFFEST or enough(trial := best + step):
-            break
-        trial_equations = evaluate(trial)
-        if trial_equations.finite and trial_equations.loss < equations.loss:
-            best, equations, damping = trial, trial_equations, damping / 10 if damping > _SOFT else _LEAST
-        else:
-            damping = max(10 * damping, _SOFT)
-    return best, equations.loss
+        return state._replace(asked=asked)
+    return state._replace(ended=np.asarray(converged))

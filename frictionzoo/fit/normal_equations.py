@@ -1,13 +1,17 @@
-"""Normal equations: a sum of squares near a vector in a few numbers, in place of millions of residuals."""
+"""Normal equations, a sum of squares near a vector in a few numbers, and two solvers for functions that give them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
+from frictionzoo.fit.space import Box
+
 _NOTHING = 1e-24  # curvature, as a share of the largest, below which it is rounding
+_SLOW = 0.8  # share of the loss, after `patience` vectors, above which a search has become slow
+_STIFFEST = 1e6  # damping above which only rounding could lower the loss
 
 
 class NormalEquations(NamedTuple):
@@ -76,3 +80,107 @@ def bounded_step(
     residual, slopes = compress(NormalEquations(0.0, gradient, hessian), 1.0)
     solution = scipy.optimize.lsq_linear(slopes / scale, -residual, (low * scale, high * scale), "bvls")
     return np.where(solution.active_mask < 0, low, np.where(solution.active_mask > 0, high, solution.x / scale))
+
+
+class Damping(NamedTuple):
+    """Levenberg-Marquardt damping, as a share of each curvature.
+
+    Attributes:
+        least: While steps succeed; above 0, combinations that the data do not determine do not move.
+        failed: At least, after a failed step.
+        kept: A successful step divides damping above this value by 10; other damping falls to `least`.
+    """
+
+    least: float
+    failed: float
+    kept: float
+
+
+DAMPING = Damping(1e-6, 0.1, 0.1)
+
+
+def descend(
+    evaluate: Evaluate,
+    box: Box,
+    tries: int,
+    tolerance: float,
+    *,
+    damping: Damping = DAMPING,
+    lengths: Sequence[float] = (1.0,),
+    enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
+    patience: int | None = None,
+) -> tuple[Float[np.ndarray, "coordinates"], float, bool]:
+    """Minimise a sum of squares by Levenberg-Marquardt steps within bounds.
+
+    Each step goes to the minimum of the objective's quadratic model within the bounds. scipy's steps go at most half
+    the way to a bound, and shorten the step of all other coordinates with it.
+
+    The search ends after `tries` vectors; when the predicted decrease is below the share `tolerance` of the objective;
+    when `enough` holds for the next vector, before that is tried; or when the loss falls by less than a fifth within
+    `patience` vectors, None for any progress. `lengths` are the shares of a step to try until one succeeds.
+
+    Returns:
+        The best vector; its loss, infinite where the objective is not finite at the start; whether it has converged.
+    """
+    best, stiffness, losses = box.start, damping.least, list[float]()
+    equations = evaluate(best)
+    if not equations.finite:
+        return best, np.inf, False
+    for _ in range(tries - 1):
+        losses.append(equations.loss)
+        if patience is not None and len(losses) > patience and equations.loss > _SLOW * losses[-1 - patience]:
+            break
+        stiff = equations.hessian * (1 + stiffness * np.eye(len(best)))
+        step = bounded_step(equations.gradient, stiff, box.low - best, box.high - best)
+        decrease = -float(2 * step @ equations.gradient + step @ equations.hessian @ step)
+        if decrease <= tolerance * equations.loss or stiffness > _STIFFEST:
+            return best, equations.loss, True
+        if enough(best + step):
+            break
+        for length in lengths:
+            trial = evaluate(best + length * step)
+            if trial.finite and trial.loss < equations.loss:
+                best, equations = best + length * step, trial
+                if length == 1:
+                    stiffness = stiffness / 10 if stiffness > damping.kept else damping.least
+                break
+        else:
+            stiffness = max(10 * stiffness, damping.failed)
+    return best, equations.loss, False
+
+
+def trust_region(
+    evaluate: Evaluate, box: Box, tries: int, tolerance: float
+) -> tuple[Float[np.ndarray, "coordinates"], float, bool]:
+    """Minimise a sum of squares by scipy's `least_squares`, method `trf`; see `LevenbergMarquardt`.
+
+    Returns:
+        The best vector, its loss, and whether it has converged.
+
+    Raises:
+        ValueError: The objective is not finite at the start.
+    """
+    finite: list[NormalEquations] = []
+    unit = 1.0
+
+    def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
+        nonlocal unit
+        equations = evaluate(vector)
+        if not equations.finite:
+            return np.full(len(vector) + 1, np.inf)  # the solver rejects the step and tries a shorter one
+        unit = unit if finite else equations.loss or 1.0  # makes the tolerances relative to the initial loss
+        finite.append(equations)
+        return compress(equations, unit)[0]
+
+    result = scipy.optimize.least_squares(
+        residuals,
+        np.clip(*box),
+        jac=lambda vector: compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
+        bounds=box[1:],
+        x_scale="jac",
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=tolerance,
+        max_nfev=tries,
+    )
+    return result.x, 2 * result.cost * unit, result.status > 0  # 0: all tries used

@@ -11,8 +11,8 @@ from frictionzoo.core.errors import refuse_outside
 from frictionzoo.fit.base import Evaluation, Fit, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.contained import Part
-from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend, is_near, refuse_tolerance
-from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, is_near, refuse_tolerance
+from frictionzoo.fit.normal_equations import NormalEquations, descend
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.space import Box
 from frictionzoo.models import FrictionModel
@@ -182,14 +182,13 @@ class Searches:
         enough: Callable[[np.ndarray], bool] = lambda vector: False,
     ) -> End:
         _, low, high = part.box
-        box = Box(part.own(vector), low, high)
-        coordinates, loss = descend(
+        coordinates, loss, _ = descend(
             part.restrict(self._evaluate),
-            box,
+            Box(np.clip(part.own(vector), low, high), low, high),
             min(most, self._tries),
             self._tolerance,
-            lambda coordinates: enough(part.whole(coordinates)),
-            self._patience,
+            enough=lambda coordinates: enough(part.whole(coordinates)),
+            patience=self._patience,
         )
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
         return End(name, part.whole(coordinates), loss)

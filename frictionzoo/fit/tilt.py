@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit.space import Box
+from frictionzoo.fit.motion import Filtering, Motion, Recordings
+from frictionzoo.fit.space import Box, Space
 from frictionzoo.fit.torque_balance import Balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 
@@ -69,40 +70,47 @@ class Tilt:
         )
 
 
-class Tilted:
+class Tilted(TorqueEquation):
     """Torque equation with the leaning of a `Tilt` as two more coordinates, linearised at the bench's tilt.
 
-    Its attributes and methods are those of `TorqueEquation`.
-
     Args:
-        equation: The torque equation of a bench with the gravity of the tilt `at`.
-        at: The tilt at which it is linearised.
+        at: The tilt at which it is linearised, which the bench of `recordings` has.
         bench: The bench with the links' weights.
     """
 
-    def __init__(self, equation: TorqueEquation, at: Tilt, bench: Bench) -> None:
+    def __init__(
+        self, space: Space, recordings: Recordings, filtering: Filtering, held: bool, at: Tilt, bench: Bench
+    ) -> None:
+        super().__init__(space, recordings, filtering, held)
         strength, upright = np.linalg.norm(at.maker), np.sqrt(1 - at.leaning @ at.leaning)
         slopes = strength * at.across - np.outer(at.leaning, at.maker) / upright
-        self._columns = equation.weight(bench) @ slopes.T  # torque that the links need per unit of leaning
-        self._equation, self._at = equation, at
-        self.moving, self.links = equation.moving, equation.links
+        self._columns = self._weight(bench) @ slopes.T  # torque that the links need per unit of leaning
+        self._at = at
         axes = ("xyz"[int(np.argmax(np.abs(direction)))] for direction in at.across)
-        self.labels: tuple[str, ...] = (*equation.labels, *(f"gravity along {axis}" for axis in axes))
+        self.labels = (*self.labels, *(f"gravity along {axis}" for axis in axes))
         extra = at.leaning, np.full(2, -STEEPEST), np.full(2, STEEPEST)
-        self.box = Box(*(np.append(side, added) for side, added in zip(equation.box, extra, strict=True)))
+        self.box = Box(*(np.append(side, added) for side, added in zip(self.box, extra, strict=True)))
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
         """See `TorqueEquation.lack`."""
-        return self._equation.lack(vector[:-2]) - self._columns @ (vector[-2:] - self._at.leaning)
+        return super().lack(vector[:-2]) - self._columns @ (vector[-2:] - self._at.leaning)
 
     def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
         """See `TorqueEquation.slope`."""
-        return np.concatenate([self._equation.slope(vector[:-2]), -self._columns], axis=-1)
+        return np.concatenate([super().slope(vector[:-2]), -self._columns], axis=-1)
 
     def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-        """Return the physical value of each coordinate; gravity in m/s^2."""
-        return np.append(self._equation.physical(vector[:-2]), np.linalg.norm(self._at.maker) * vector[-2:])
+        """See `TorqueEquation.physical`; gravity in m/s^2."""
+        return np.append(super().physical(vector[:-2]), np.linalg.norm(self._at.maker) * vector[-2:])
 
     def tilt(self, found: Balance) -> Tilt:
         """Return the tilt that the least squares found."""
         return Tilt(self._at.maker, self._at.across, found.vector[-2:], found.errors[-2:])
+
+    def _weight(self, bench: Bench) -> Float[np.ndarray, "rows nv 3"]:
+        """Return the torque that a bench's links need per m/s^2 of gravity along each world axis."""
+        at_rest = [Motion(motion.qpos, 0 * motion.qvel, 0 * motion.qacc) for motion in self.motions]
+        without, *torques = (
+            self._inverse(bench.with_gravity(axis.tolist()), at_rest, None) for axis in (np.zeros(3), *np.eye(3))
+        )
+        return self.decimate(np.stack([torque - without for torque in torques], axis=-1))

@@ -1,25 +1,23 @@
 """Weighted least squares on torque: parameters for which inverse dynamics matches the measured torque."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float
 
-from frictionzoo.bench.inertia import LogCholesky, is_consistent
-from frictionzoo.fit.normal_equations import NormalEquations, bounded_step
+from frictionzoo.bench.inertia import LogCholesky, inertial_parameters, is_consistent
+from frictionzoo.bench.regressor import inertial_regressor
+from frictionzoo.fit.normal_equations import Damping, NormalEquations, descend
 from frictionzoo.fit.space import Box
-
-Lack = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv"]]
-Slope = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv coordinates"]]
+from frictionzoo.fit.torque_equation import TorqueEquation
 
 _PASSES = 50  # rounds of weights; five are usual
 _SETTLED = 1e-3  # relative change of the weights below which they have converged
 _STEPS = 10  # steps with the same weights; few, because the weights still change
-_STIFFEST = 1e6  # damping above which only rounding could lower the loss
-_HALVINGS = 6  # step lengths tried, each half of the one before
+_LENGTHS = 0.5 ** np.arange(6)  # shares of a step that are tried
 _BEND = 1e-5  # step of the finite difference in coordinates
 _TOLERANCE = 1e-7  # least predicted decrease, as a share of the loss: a hundredth of a standard error
 
@@ -37,6 +35,15 @@ class Links:
     regressor: Float[np.ndarray, "rows nv bodies 10"]
     around: LogCholesky
     spread: Float[np.ndarray, "bodies 10"]
+
+    @classmethod
+    def of(cls, equation: TorqueEquation, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> "Links":
+        """Return torque regressor and prior of bodies; `spread` are standard deviations of a body's coordinates."""
+        model = equation.bench.compile(constraint=False)
+        regressor = np.concatenate([inertial_regressor(model, bodies, *motion) for motion in equation.motions])
+        names = [model.body(body).name for body in bodies]
+        around = LogCholesky.around(inertial_parameters(model, bodies), names)
+        return cls(equation.decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
 
     def torque(self, parameters: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "rows nv"]:
         """Return the torque that bodies with these parameters need beyond the model file's bodies."""
@@ -64,11 +71,8 @@ class Links:
         curvature = np.stack([(up - down) / (2 * _BEND) for up, down in pulls], axis=-1) @ by_parameters
         values, axes = np.linalg.eigh((curvature + curvature.swapaxes(1, 2)) / 2 - gauss)
         complete = gauss + (axes * np.maximum(values, 0)[:, None, :]) @ axes.swapaxes(1, 2)
-        return self.far(parameters), self._pull(coordinates), np.stack([gauss, complete])
-
-    def far(self, parameters: Float[np.ndarray, "bodies 10"]) -> float:
-        """Return the prior's loss."""
-        return float(np.square(self.around.coordinates(parameters) / self.spread).sum())
+        loss = float(np.square(coordinates / self.spread).sum())
+        return loss, self._pull(coordinates), np.stack([gauss, complete])
 
     def _pull(self, at: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10"]:
         """Return half the prior's gradient with respect to the parameters, at these coordinates."""
@@ -122,81 +126,73 @@ def invert(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return covariance
 
 
-def balance(
-    lack: Lack,
-    slope: Slope,
-    box: Box,
-    moving: Bool[np.ndarray, "rows nv"],
-    links: Links | None = None,
-) -> Balance:
+def balance(equation: TorqueEquation, links: Links | None = None) -> Balance:
     """Minimise the residual torque, with each joint weighted by the inverse deviation of its residual.
 
     Least squares repeats with the deviations of the previous residuals until the weights converge. For models that are
     linear in their coordinates this is the inverse dynamics identification model (IDIM-LS) with weights; others take a
-    few Gauss-Newton steps in each round.
-
-    `lack` is the residual torque with the model file's bodies, `slope` its derivative. `moving` marks the samples that
-    count. The inertia of `links` is identified too.
+    few Gauss-Newton steps in each round. The inertia of `links` is identified too.
 
     Source: M. Gautier, "Dynamic identification of robots with power model", 1997; M. Gautier, P. Poignet, "Extended
     Kalman filtering and weighted least squares dynamic identification of robot", 2001, for the weights; T. Lee, P.
     Wensing, F. Park, "Geometric robot dynamic identification: a convex programming approach", 2020, for a prior around
     the model file's bodies.
     """
-    equation = _Equation(lack, slope, links, moving, box)
-    values = equation.start
-    sigma = _deviation(equation.left(values), moving, 0.0)
+    unknowns, moving = _Unknowns(equation, links), equation.moving
+    box = unknowns.box
+    sigma, converged = _deviation(unknowns.residual(box.start), moving, 0.0), False
     for _ in range(_PASSES):
-        values, converged = _descend(equation, values, sigma)
-        last_sigma, sigma = sigma, _deviation(equation.left(values), moving, len(values) / len(sigma))
+        evaluate = partial(unknowns.evaluate, sigma=sigma)
+        values, _, converged = descend(
+            evaluate, box, _STEPS + 1, _TOLERANCE, damping=Damping(0.0, 1e-3, 0.0), lengths=_LENGTHS
+        )
+        box = box._replace(start=values)
+        last_sigma, sigma = sigma, _deviation(unknowns.residual(values), moving, len(values) / len(sigma))
         if converged and (np.abs(sigma / last_sigma - 1) < _SETTLED).all():
             break
-    vector, bodies = equation.split(values)
-    information, prior = (part.hessian for part in (equation.measured(values, sigma), equation.prior(values, False)))
-    return Balance(vector, bodies, equation.left(values), sigma, information, prior)
+    information, prior = (
+        part.hessian for part in (unknowns.measured(box.start, sigma), unknowns.prior(box.start, whole=False))
+    )
+    return Balance(*unknowns.split(box.start), unknowns.residual(box.start), sigma, information, prior)
 
 
 @dataclass(frozen=True)
-class _Equation:
+class _Unknowns:
     """Residual torque as a function of all unknowns: the vector, then the bodies' inertial parameters.
 
     The torque is linear in these. In the bodies' coordinates the valley of nearly equal torques is narrow and curved,
     and a search needs thousands of steps.
     """
 
-    lack: Lack
-    slope: Slope
+    equation: TorqueEquation
     links: Links | None
-    moving: Bool[np.ndarray, "rows nv"]
-    box: Box
 
     @property
-    def start(self) -> Float[np.ndarray, "all"]:
-        return np.append(np.clip(*self.box), [] if self.links is None else self.links.maker)
-
-    @property
-    def bounds(self) -> tuple[Float[np.ndarray, "all"], Float[np.ndarray, "all"]]:
-        free = np.full(0 if self.links is None else self.links.maker.size, np.inf)
-        return np.append(self.box.low, -free), np.append(self.box.high, free)
+    def box(self) -> Box:
+        start, low, high = self.equation.box
+        bodies = np.zeros(0) if self.links is None else self.links.maker.ravel()
+        free = np.full(len(bodies), np.inf)
+        return Box(np.append(np.clip(start, low, high), bodies), np.append(low, -free), np.append(high, free))
 
     def split(self, at: Float[np.ndarray, "all"]) -> tuple[Float[np.ndarray, "_"], Float[np.ndarray, "bodies 10"]]:
-        size = len(self.box.start)
+        size = len(self.equation.box.start)
         return at[:size], at[size:].reshape(-1, 10)
 
-    def left(self, at: Float[np.ndarray, "all"]) -> Float[np.ndarray, "rows nv"]:
+    def residual(self, at: Float[np.ndarray, "all"]) -> Float[np.ndarray, "rows nv"]:
         vector, bodies = self.split(at)
-        return self.lack(vector) if self.links is None else self.lack(vector) - self.links.torque(bodies)
+        lack = self.equation.lack(vector)
+        return lack if self.links is None else lack - self.links.torque(bodies)
 
-    def loss(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> float:
-        """Return the loss; infinite where the parameters are not physically consistent."""
+    def evaluate(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> NormalEquations:
+        """Return the normal equations; an infinite loss where the parameters are not physically consistent."""
         if not is_consistent(self.split(at)[1]).all():
-            return np.inf
-        weighted = (self.left(at) / sigma)[self.moving]
-        return float(weighted @ weighted) + (0.0 if self.links is None else self.links.far(self.split(at)[1]))
+            return NormalEquations(np.inf, np.zeros(len(at)), np.zeros((len(at), len(at))))
+        parts = zip(self.measured(at, sigma)[:3], self.prior(at, whole=True)[:3], strict=True)
+        return NormalEquations(*(measured + prior for measured, prior in parts))
 
     def measured(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> NormalEquations:
-        slopes = append_links(self.slope(self.split(at)[0]), self.links)
-        rows, residual = (slopes / sigma[:, None])[self.moving], (self.left(at) / sigma)[self.moving]
+        moving, slopes = self.equation.moving, append_links(self.equation.slope(self.split(at)[0]), self.links)
+        rows, residual = (slopes / sigma[:, None])[moving], (self.residual(at) / sigma)[moving]
         return NormalEquations(float(residual @ residual), rows.T @ residual, rows.T @ rows)
 
     def prior(self, at: Float[np.ndarray, "all"], whole: bool) -> NormalEquations:
@@ -208,30 +204,6 @@ class _Equation:
             gradient[len(vector) :] = pull.ravel()
             hessian[len(vector) :, len(vector) :] = scipy.linalg.block_diag(*curvatures[int(whole)])
         return NormalEquations(loss, gradient, hessian)
-
-
-def _descend(
-    equation: _Equation, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]
-) -> tuple[Float[np.ndarray, "all"], bool]:
-    """Take Levenberg-Marquardt steps within bounds; also return whether they reached the minimum."""
-    loss, damping = equation.loss(at, sigma), 0.0
-    for _ in range(_STEPS):
-        parts = equation.measured(at, sigma), equation.prior(at, whole=True)
-        gradient, hessian = parts[0].gradient + parts[1].gradient, parts[0].hessian + parts[1].hessian
-        step = bounded_step(gradient, hessian * (1 + damping * np.eye(len(at))), *(end - at for end in equation.bounds))
-        decrease = -float(2 * step @ gradient + step @ hessian @ step)
-        if decrease <= _TOLERANCE * loss:
-            return at, True
-        for share in 0.5 ** np.arange(_HALVINGS):
-            trial_loss = equation.loss(at + share * step, sigma)
-            if trial_loss < loss:
-                at, loss, damping = at + share * step, trial_loss, damping / 10 if share == 1 else damping
-                break
-        else:
-            damping = max(10 * damping, 1e-3)
-            if damping > _STIFFEST:
-                return at, True
-    return at, False
 
 
 def _deviation(

@@ -11,15 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from frictionzoo.bench import Bench
-from frictionzoo.bench.inertia import LogCholesky, inertial_parameters
-from frictionzoo.bench.regressor import inertial_regressor, inverse_torque
+from frictionzoo.bench.regressor import inverse_torque
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit.blocks import MOST_STRETCHES
 from frictionzoo.fit.motion import Filtering, Motion, Recordings
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
-from frictionzoo.fit.torque_balance import Links
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.simulation import Values
 from frictionzoo.simulation.drive import looks_at_one_joint
@@ -39,7 +37,8 @@ class TorqueEquation:
     with memory contributes its friction at constant velocity.
 
     Attributes:
-        motion: Motion of all logs, concatenated.
+        motions: Motion of each log.
+        motion: The same, concatenated.
         decimate: Filter and decimation for torques at all samples.
         moving: Which samples count, joint by joint.
         labels: Names of the coordinates.
@@ -65,12 +64,12 @@ class TorqueEquation:
         substeps: int = 0,
     ) -> None:
         bench, model, logs = recordings
-        self._space, self._bench, self._model, self._logs = space, bench, model, logs
+        self._space, self.bench, self._model, self._logs = space, bench, model, logs
         self.joints, self.labels = bench.joints, tuple(space.labels)
         self.decimate = filtering.decimation(logs)
         self._measured = np.concatenate([log.extras["torque"] for log in logs]) if measured else None
-        self._motions = [filtering.motion(log) for log in logs]
-        self.motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
+        self.motions = [filtering.motion(log) for log in logs]
+        self.motion = Motion(*(np.concatenate(parts) for parts in zip(*self.motions, strict=True)))
         # A simulated step uses the command at its beginning, on which the second difference of positions is centred.
         share = 1 - 1 / substeps if substeps else 1.0
         self._lateness = (share * logs[0].timestep / 2 if held else 0.0), logs[0].timestep
@@ -78,7 +77,7 @@ class TorqueEquation:
         self.box = space.box
         is_local = looks_at_one_joint(model)
         self._sparsity = Sparsity.of(space, range(bench.nv) if is_local else [0] * bench.nv)
-        steady = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
+        steady = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self.motions]
         self._external = -self._inverse(bench, steady, None)
         self._compiled = jax.jit(self._torque), jax.jit(self._tangents)
 
@@ -113,26 +112,10 @@ class TorqueEquation:
         slopes = slopes[:, :, :-1]
         return slopes - self._offset_slope(coordinates) if "bench.position_offset" in self._space.params else slopes
 
-    def links(self, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> Links:
-        """Return torque regressor and prior of bodies; `spread` are standard deviations of a body's coordinates."""
-        model = self._bench.compile(constraint=False)
-        regressor = np.concatenate([inertial_regressor(model, bodies, *motion) for motion in self._motions])
-        names = [model.body(body).name for body in bodies]
-        around = LogCholesky.around(inertial_parameters(model, bodies), names)
-        return Links(self.decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
-
     def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
         """Return the physical value of each coordinate, not clipped to its bounds."""
         split, params = self._space.split(vector), self._space.params
         return np.concatenate([np.zeros(0), *(params[name].from_coordinate(part, np) for name, part in split.items())])
-
-    def weight(self, bench: Bench) -> Float[np.ndarray, "rows nv 3"]:
-        """Return the torque that a bench's links need per m/s^2 of gravity along each world axis."""
-        at_rest = [Motion(motion.qpos, 0 * motion.qvel, 0 * motion.qacc) for motion in self._motions]
-        without, *torques = (
-            self._inverse(bench.with_gravity(axis.tolist()), at_rest, None) for axis in (np.zeros(3), *np.eye(3))
-        )
-        return self.decimate(np.stack([torque - without for torque in torques], axis=-1))
 
     def scores(
         self, vector: Float[np.ndarray, "coordinates"]
@@ -196,22 +179,22 @@ class TorqueEquation:
         if self._measured is not None:
             motor = jnp.asarray(self._measured, dtype)
         else:
-            ctrl = self._bench.actuator.control(jnp, bench, qpos, qvel, signals.ctrl, signals.inputs)
-            gain, *bias = self._bench.actuator.affine(bench)
+            ctrl = self.bench.actuator.control(jnp, bench, qpos, qvel, signals.ctrl, signals.inputs)
+            gain, *bias = self.bench.actuator.affine(bench)
             motor = gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel
         return DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed)
 
     def _acting(self, known: Mapping[str, Any]) -> Signals:
         """Return the recorded signals other than motion, with commands delayed to when they act."""
-        dtype, commands = self._space.start.dtype, self._bench.actuator.commands
+        dtype, commands = self._space.start.dtype, self.bench.actuator.commands
         recorded = [log.signals.named() for log in self._logs]
         named = {name: jnp.asarray(np.concatenate([part[name] for part in recorded]), dtype) for name in recorded[0]}
         first, last = self._ends
         half, interval = self._lateness
-        shift = -(known.get("delay", jnp.zeros(self._bench.nv, dtype)) + half) / interval
+        shift = -(known.get("delay", jnp.zeros(self.bench.nv, dtype)) + half) / interval
         whole_samples = jax.lax.stop_gradient(jnp.floor(shift))
         samples = np.arange(len(first))[:, None] + whole_samples.astype(int)
-        joint = jnp.arange(self._bench.nv)
+        joint = jnp.arange(self.bench.nv)
 
         def late(command: Array) -> Array:
             before, after = (command[jnp.clip(samples + step, first, last), joint] for step in (0, 1))
@@ -229,13 +212,13 @@ class TorqueEquation:
 
     @cached_property
     def _fixed(self) -> Float[np.ndarray, "rows nv"]:
-        return self.decimate(self._inverse(self._bench, self._motions, None))
+        return self.decimate(self._inverse(self.bench, self.motions, None))
 
     def _rigid(self, known: Mapping[str, Any]) -> Float[np.ndarray, "rows nv"]:
         offset = known.get("position_offset")
         if offset is None:
             return self._fixed
-        return self.decimate(self._inverse(self._bench, self._motions, np.asarray(offset)))
+        return self.decimate(self._inverse(self.bench, self.motions, np.asarray(offset)))
 
     def _inverse(
         self, bench: Bench, motions: Sequence[Motion], offset: Float[np.ndarray, "nv"] | None

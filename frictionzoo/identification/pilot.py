@@ -141,7 +141,7 @@ class Pilot:
         with contextlib.suppress(FrictionzooError):  # such as a recording that is too short
             space = Space(recordings.bench, self._drive.model, "float64")
             equation = TorqueEquation(space, recordings, Filtering(), held=True)
-            vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
+            vector = balance(equation).vector
             # Poorly determined parameters end at a bound, from which a search returns slowly.
             vector = np.where(space.at_bound(vector), space.start, vector)
             starts.append(self.whole(PilotResult.begun(space.labels, vector)))
