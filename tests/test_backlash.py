@@ -317,6 +317,7 @@ def test_segments_are_long_where_a_rollout_begins_with_a_guess(
     law.bind(knee.joints)
     recorded = pair_all(twin().load(), knee.joints)
     with jax.enable_x64(True):
-        choices = Stages(settings, knee, recorded, law, fit).run()
-        length = next(choice.value for choice in choices if choice.option == "segments.length")
+        stages = Stages(settings, knee, recorded, law, fit)
+        stages.prepare()
+        length = stages.settings["segments"]["length"]
     assert length * 1e-3 == pytest.approx(seconds, rel=0.1)

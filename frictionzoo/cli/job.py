@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,7 +20,7 @@ from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
-from frictionzoo.identification.recipe import Kept
+from frictionzoo.identification.recipe import settle_once
 from frictionzoo.report.terminal import summarise_in_markdown
 from frictionzoo.result.record import describe_data, pick_metrics
 from frictionzoo.result.types import Result
@@ -47,7 +48,7 @@ def run_job(
     """
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     logger = build(settings["logger"], RunLogger)
-    parts = Parts.from_settings(settings, given, Kept(folder).settle)
+    parts = Parts.from_settings(settings, given, partial(settle_once, folder))
     tell("checking the input, compiling")
     with parts.computing() as device:
         measured = Problem.pose(parts)

@@ -24,14 +24,13 @@ from frictionzoo.result.section_types import CommandRow, ResidualRow
 
 FIRST_LAW = "mujoco_default"  # suggested if no other model is
 TARGET = "mjcf"
-_RUN, _EXCITE = "python -m frictionzoo.run", "python -m frictionzoo.design"
-_DISTILL = "python -m frictionzoo.distill"
+_INSPECT, _DESIGN = (["python", "-m", f"frictionzoo.{name}"] for name in ("inspect", "design"))
 _OF_THE_FOLDER = re.compile(r"[+~]*(resume|output)=")
 _OF_THE_LAW = re.compile(r"[+~]*model\b")
 _OF_THE_DRIVE = re.compile(r"(bench|data|experiment)=|(bench|scale)\.")
 _OF_THE_DATA = re.compile(r"(data|experiment)\b")
 _USUAL = 0.999  # quantile of the samples within a limit: samples beyond may be outliers
-_PARAMS, _SIGN = ".params.", "data.sign."
+_SIGN = "data.sign."
 _WIDER = 10.0  # distance factor of a new bound from a repaired value outside the bounds
 
 
@@ -56,7 +55,8 @@ class Origin:
         """Return the origin of a command-line run from its options, its folder and, if it has one, its teacher's."""
         kept = [each for each in options if not _OF_THE_LAW.match(each) and not _OF_THE_FOLDER.match(each)]
         law = tuple(each for each in options if _OF_THE_LAW.match(each))
-        return cls(_RUN if teacher is None else f"{_DISTILL} {shlex.quote(teacher)}", tuple(kept), folder, law)
+        program = "run" if teacher is None else f"distill {shlex.quote(teacher)}"
+        return cls(f"python -m frictionzoo.{program}", tuple(kept), folder, law)
 
     @property
     def place(self) -> str:
@@ -79,14 +79,17 @@ def suggest_commands(
     law = choose_law(problem, residual)
     limits = recorded_limits(problem.bench, values, problem.dataset.train)
     repairs = complete_options(_list_repairs(problem), problem.bench, problem.settings)
-    excitable, found = _excitable(problem, values, limits), dict[str, str]()
+    run, found = shlex.split(origin.command), dict[str, str]()
     if repairs:
-        found["repair"] = _repair_in_shell(repairs, origin)
-    found["inspect"] = _inspect_in_shell(origin) + ("" if excitable else _NO_DESIGN)
-    chosen = _choose_in_shell(problem, law, residual)
-    found["law"] = shlex.join([*shlex.split(origin.command), *origin.options, *chosen])
-    if excitable:
-        found["recording"] = _excite_in_shell(problem, limits, law, origin)
+        kept = [each for each in (*origin.options, *origin.law) if each.partition("=")[0].lstrip("+~") not in repairs]
+        found["repair"] = shlex.join([*run, *kept, *_as_options(repairs)])
+    data = [each for each in origin.options if _OF_THE_DATA.match(each)] or ["data=twin"]
+    found["inspect"] = shlex.join([*_INSPECT, *data])
+    found["law"] = shlex.join([*run, *origin.options, *_options_of_law(problem, law, residual)])
+    if _is_excitable(problem, values, limits):
+        found["recording"] = _design_in_shell(problem, limits, law, origin)
+    else:
+        found["inspect"] += "  # no command can be designed for this drive; record the motion that is missing"
     found["export"] = f"python -m frictionzoo.export {origin.place} target={TARGET}"
     return [cast(CommandRow, {"kind": kind, "command": command}) for kind, command in found.items()]
 
@@ -117,25 +120,18 @@ def complete_options(repairs: Iterable[Repair], bench: Bench, settings: Mapping[
         if joint is None:
             options.setdefault(option, value)
             continue
-        entries = options.setdefault(option, _present(option, bench, settings))
-        entries[joint] = _times(entries[joint], value) if repair.is_factor else value
+        if option.startswith(_SIGN):
+            sign = (settings["data"].get("sign") or {}).get(option.removeprefix(_SIGN), 1)
+            present = np.broadcast_to(sign, bench.nv).tolist()
+        else:
+            present = bench.initial_values()[option.partition(".params.")[2].partition(".")[0]].tolist()
+        entries = options.setdefault(option, present)
+        if repair.is_factor:
+            value = entries[joint] * value
+            value = value if isinstance(value, int) else float(f"{value:.4g}")  # a sign stays whole
+        entries[joint] = value
     options |= _widen(options, settings)
     return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in options.items()}
-
-
-def _present(option: str, bench: Bench, settings: Mapping[str, Any]) -> list[Any]:
-    """Return the current value of an option for each joint."""
-    if option.startswith(_SIGN):
-        sign = (settings["data"].get("sign") or {}).get(option.removeprefix(_SIGN), 1)
-        return np.broadcast_to(sign, bench.nv).tolist()
-    name = option.partition(_PARAMS)[2].partition(".")[0]
-    return bench.initial_values()[name].tolist()
-
-
-def _times(value: float | int, factor: float | int) -> float | int:
-    """Multiply a value as a user would write it: a sign stays whole."""
-    product = value * factor
-    return product if isinstance(product, int) else float(f"{product:.4g}")
 
 
 def _widen(options: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -157,18 +153,6 @@ def _widen(options: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str,
     return wider
 
 
-def _repair_in_shell(repairs: Mapping[str, Any], origin: Origin) -> str:
-    """Return the command of the same run with repaired options."""
-    kept = [each for each in (*origin.options, *origin.law) if each.partition("=")[0].lstrip("+~") not in repairs]
-    changed = [f"{name}={_plain(value)}" for name, value in repairs.items()]
-    return shlex.join([*shlex.split(origin.command), *kept, *changed])
-
-
-def _inspect_in_shell(origin: Origin) -> str:
-    data = [each for each in origin.options if _OF_THE_DATA.match(each)]
-    return shlex.join(["python", "-m", "frictionzoo.inspect", *(data or ["data=twin"])])
-
-
 def choose_law(problem: Problem, residual: ResidualRow | None) -> str:
     """Return the friction model to try next.
 
@@ -180,16 +164,14 @@ def choose_law(problem: Problem, residual: ResidualRow | None) -> str:
         return named
     model = problem.drive.model.of_joint(0)[0]
     sees = {*model.sees} or observe(model, problem.samples)
-    further = [suggest_law(model, sees, what) for what in SEES if what not in sees and _is_recorded(problem, what)]
+    logs = problem.dataset.train
+    recorded = {*SEES} - ({"temperature"} if any("temperature" not in log.extras for log in logs) else set())
+    further = [suggest_law(model, sees, what) for what in SEES if what in recorded - sees]
     richer = next((law for law, whole in further if law and whole), None)
     return richer or simpler_law(model, sees) or FIRST_LAW
 
 
-def _is_recorded(problem: Problem, what: str) -> bool:
-    return what != "temperature" or all("temperature" in log.extras for log in problem.dataset.train)
-
-
-def _choose_in_shell(problem: Problem, law: str, residual: ResidualRow | None) -> list[str]:
+def _options_of_law(problem: Problem, law: str, residual: ResidualRow | None) -> list[str]:
     """Return the options that choose the next model; with a model per joint, only insufficient ones are replaced."""
     model = problem.drive.model
     if not isinstance(model, ByJoint):
@@ -200,7 +182,7 @@ def _choose_in_shell(problem: Problem, law: str, residual: ResidualRow | None) -
     return ["model=by_joint", f"model.laws={{{', '.join(f'{name}: {own}' for name, own in laws.items())}}}"]
 
 
-def _excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any]) -> bool:
+def _is_excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any]) -> bool:
     """Return whether the experiment design supports this drive."""
     try:
         inputs = _holding_inputs(problem.bench, problem.dataset.train)
@@ -210,32 +192,21 @@ def _excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str,
     return problem.drive.engine.reverse
 
 
-def _has_parameters(problem: Problem) -> bool:
-    """Return whether everything identified is a physical parameter, so that its information can be designed for."""
-    space = problem.objective.space
-    return bool(space.params) and not space.weights and not isinstance(problem.drive.model, TorchFriction)
-
-
-def _excite_in_shell(problem: Problem, limits: Mapping[str, Any], law: str, origin: Origin) -> str:
-    stated = [f"{name}={_plain(value)}" for name, value in limits.items()]
-    if _has_parameters(problem):
-        return f"{_EXCITE} {origin.place} {shlex.join(stated)}"
+def _design_in_shell(problem: Problem, limits: Mapping[str, Any], law: str, origin: Origin) -> str:
+    space, stated = problem.objective.space, _as_options(limits)
+    if space.params and not space.weights and not isinstance(problem.drive.model, TorchFriction):
+        return f"{shlex.join(_DESIGN)} {origin.place} {shlex.join(stated)}"
+    # Not only physical parameters were identified, so there is no information on them to design for.
     about = [each for each in origin.options if _OF_THE_DRIVE.match(each)]
     usual = _usual_inputs(problem.bench, problem.dataset.train)
-    inputs = [f"inputs.{name}={_round(np.median(values))}" for name, values in usual.items()]
-    return shlex.join([*_EXCITE.split(), *about, f"model={law}", *stated, *inputs])
+    inputs = [f"inputs.{name}={float(f'{np.median(values):.3g}')}" for name, values in usual.items()]
+    return shlex.join([*_DESIGN, *about, f"model={law}", *stated, *inputs])
 
 
-_NO_DESIGN = "  # no command can be designed for this drive; record the motion that is missing"
-
-
-def _plain(value: Any) -> str:
-    """Return a value as an option writes it."""
-    return str(value).lower() if isinstance(value, bool) else str(value).replace(" ", "")
-
-
-def _round(value: float | np.floating) -> float:
-    return float(f"{value:.3g}")
+def _as_options(values: Mapping[str, Any]) -> list[str]:
+    """Return values as the command line writes them."""
+    texts = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in values.items()}
+    return [f"{name}={text.replace(' ', '')}" for name, text in texts.items()]
 
 
 def _usual_inputs(bench: Bench, logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "nv"]]:

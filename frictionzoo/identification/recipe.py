@@ -26,6 +26,7 @@ from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import OPTIONAL, Choice
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.identification.stages import Stages
+from frictionzoo.identification.trials import put
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.record import describe_data
 
@@ -68,12 +69,9 @@ def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: F
     if settings["recipe"] != AUTO:
         return Settled(settings, bench)
     stages = Stages(settings, bench, dataset, model, fit)
-    choices = []
-    for choice in stages.run():
-        _log.info("%s", choice)
-        choices.append(choice)
+    stages.run()
     outcome = stages.start, tuple(stages.doubts), stages.pilot
-    return Settled(stages.settings, stages.bench(), tuple(choices), *outcome)
+    return Settled(stages.settings, stages.bench(), tuple(stages.choices), *outcome)
 
 
 def refuse_unknown(recipe: str) -> None:
@@ -96,93 +94,64 @@ def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bo
     return {**bench, "params": {**optional, **(bench.get("params") or {})}, **open_options}
 
 
-class Kept:
-    """Automatic settings with a file in the run's folder, for runs with the same options and data.
+def settle_once(
+    folder: Path, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
+) -> Settled:
+    """Choose as `settle` does, or return the choices that a run with the same options and data left in this folder.
 
     The folder may come from a stranger: nothing in it is executed.
+
+    Raises:
+        FrictionzooError: The input is at fault, or the file cannot be written.
     """
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / SETTLED
-
-    def settle(
-        self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
-    ) -> Settled:
-        """Choose as the function `settle` does, or return the stored choices.
-
-        Raises:
-            FrictionzooError: The input is at fault, or the file cannot be written.
-        """
-        if settings["recipe"] != AUTO:
-            return settle(settings, bench, dataset, model, fit)
-        identity = _identify(settings, bench, dataset, model)
-        if (read := self._read(identity, settings, bench)) is not None:
-            stored, had_pilot = read
-            if stored.start is not None and had_pilot:  # the fit uses its compiled equations
-                pilot = Stages(settings, bench, dataset, model, fit).repeat(stored.settings, stored.start)
-                stored = replace(stored, pilot=pilot)
-            _log.info("automatic settings read from %s", self._path)
+    if settings["recipe"] != AUTO:
+        return settle(settings, bench, dataset, model, fit)
+    path, identity = folder / SETTLED, _identify(settings, bench, dataset, model)
+    if (stored := _read(path, identity, settings, bench)) is not None:
+        _log.info("automatic settings read from %s", path)
+        if stored.start is None:
             return stored
-        settled = settle(settings, bench, dataset, model, fit)
-        self._write(identity, settings, settled)
-        return settled
-
-    def _write(self, identity: str, settings: Mapping[str, Any], settled: Settled) -> None:
-        before, start = dict(list_options(settings)), settled.start
-        arrays = {} if start is None else {name: getattr(start, name) for name in _ARRAYS}
-        arrays = {name: array for name, array in arrays.items() if array is not None}
-        text = {
-            "identity": identity,
-            "options": {key: value for key, value in list_options(settled.settings) if before.get(key) != value},
-            "choices": settled.choices,
-            "doubts": settled.doubts,
-            "labels": start and start.labels,
-            "loss": start and start.loss,
-            "pilot": settled.pilot is not None,
-        }
-        header = {_TEXT: json.dumps(to_json(text)), "sha256": ""}
-        header["sha256"] = _sign(header[_TEXT], arrays)
-        write_atomically(self._path, safetensors.numpy.save(arrays, header))
-
-    def _read(self, identity: str, settings: Mapping[str, Any], bench: Bench) -> tuple[Settled, bool] | None:
-        """Return the settings stored for these options and data, and whether a pilot fit chose them.
-
-        None if the file is missing, damaged or for others.
-        """
-        if not self._path.exists():
-            return None
-        try:
-            with safetensors.safe_open(self._path, "numpy") as file:
-                names, header = file.keys(), file.metadata() or {}
-                arrays = {name: file.get_tensor(name) for name in names}
-        except (OSError, safetensors.SafetensorError):
-            header, arrays = {}, {}
-        text = header.get(_TEXT, "")
-        if header.get("sha256") != _sign(text, arrays):
-            _log.info("%s: damaged; automatic settings are chosen again", self._path)
-            return None
-        stored = json.loads(text)
-        if stored["identity"] != identity or not set(stored["options"]) <= {*_list_open(settings)}:
-            _log.info("%s: for other options or data; automatic settings are chosen again", self._path)
-            return None
-        chosen = _put(settings, stored["options"])
-        section, start = chosen["bench"], None
-        if stored["labels"] is not None:
-            start = PilotResult(labels=stored["labels"], loss=stored["loss"], **{"states": None, **arrays})
-        settled = Settled(
-            chosen,
-            remake(bench, **{name: section[name] for name in _OF_THE_BENCH if name in section}),
-            tuple(Choice(*choice) for choice in stored["choices"]),
-            start,
-            tuple(Doubt(text, tuple(Repair(*repair) for repair in repairs)) for text, repairs in stored["doubts"]),
-        )
-        return settled, bool(stored["pilot"])
+        pilot = Stages(settings, bench, dataset, model, fit).repeat(stored.settings, stored.start)
+        return replace(stored, pilot=pilot)  # the fit uses its compiled equations
+    settled = settle(settings, bench, dataset, model, fit)
+    before, start = dict(list_options(settings)), settled.start
+    text = {
+        "identity": identity,
+        "options": {key: value for key, value in list_options(settled.settings) if before.get(key) != value},
+        "choices": settled.choices,
+        "doubts": settled.doubts,
+        "labels": start and start.labels,
+        "loss": start and start.loss,
+    }
+    arrays = {name: getattr(start, name) for name in _ARRAYS} if start else {}
+    arrays = {name: array for name, array in arrays.items() if array is not None}
+    write_atomically(path, safetensors.numpy.save(arrays, {_TEXT: json.dumps(to_json(text))}))
+    return settled
 
 
-def _sign(text: str, arrays: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of the file's content, to detect damage."""
-    ordered = {name: arrays[name] for name in _ARRAYS if name in arrays}
-    return hashlib.sha256(f"{text}{[*ordered]}{digest(ordered)}".encode()).hexdigest()
+def _read(path: Path, identity: str, settings: Mapping[str, Any], bench: Bench) -> Settled | None:
+    """Return the settings stored for these options and data; None if there are none, or they cannot be read."""
+    if not path.exists():
+        return None
+    try:
+        with safetensors.safe_open(path, "numpy") as file:
+            arrays: dict[str, Any] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+            stored = json.loads((file.metadata() or {})[_TEXT])
+        fits = stored["identity"] == identity and {*stored["options"]} <= {*_list_open(settings)}
+    except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError):
+        fits = False
+    if not fits:
+        _log.info("%s: damaged, or for other options or data; automatic settings are chosen again", path)
+        return None
+    chosen, start = copy.deepcopy(dict(settings)), None
+    for option, value in stored["options"].items():
+        put(chosen, option, value)
+    if stored["labels"] is not None:
+        start = PilotResult(labels=stored["labels"], loss=stored["loss"], **{"states": None, **arrays})
+    doubts = (Doubt(text, tuple(Repair(*repair) for repair in repairs)) for text, repairs in stored["doubts"])
+    section = {name: chosen["bench"][name] for name in _OF_THE_BENCH if name in chosen["bench"]}
+    choices = tuple(Choice(*choice) for choice in stored["choices"])
+    return Settled(chosen, remake(bench, **section), choices, start, tuple(doubts))
 
 
 def _identify(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel) -> str:
@@ -205,14 +174,3 @@ def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
             yield option
             if option.endswith(".identify"):
                 yield f"{option.removesuffix('identify')}init"
-
-
-def _put(settings: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    changed = copy.deepcopy(dict(settings))
-    for option, value in options.items():
-        *path, key = option.split(".")
-        part = changed
-        for name in path:
-            part = part[name]
-        part[key] = value
-    return changed

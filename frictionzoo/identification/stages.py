@@ -1,8 +1,6 @@
 """Stages of the automatic settings: weights, segments, loss, optional parameters and timestep."""
 
 import math
-from collections.abc import Generator, Iterator
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -12,10 +10,10 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.core.telling import tell
 from frictionzoo.diagnostics.findings import Doubt
 from frictionzoo.fit.loss import soft_width
-from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, imply
+from frictionzoo.identification.choices import OPTIONAL, RIVALS, imply
 from frictionzoo.identification.noise import Misfit, Noise
 from frictionzoo.identification.pilot import Pilot, PilotResult, halve_step
-from frictionzoo.identification.trials import COARSEST, FEWEST, MOST_STEPS, Trials
+from frictionzoo.identification.trials import COARSEST, FEWEST, MOST_STEPS, Trials, put
 
 _LONGEST, _SHORT = 1.0, 0.1  # s, longest segments with and without estimated initial states
 _GROWTH = 20.0  # largest growth of a disturbance within a segment
@@ -33,56 +31,47 @@ _NOT_SHOWN = "not identifiable from these data, fixed at 0"
 class Stages(Trials):
     """Stages in order; each uses the choices of the earlier ones."""
 
-    def run(self) -> Iterator[Choice]:
-        """Run all stages and yield their choices."""
-        yield from self._heed()
-        yield from self._weigh()
-        yield from self._choose_segments()
+    def run(self) -> None:
+        """Run all stages."""
+        self.prepare()
         if self._small:
-            yield from self._choose_loss()
+            self._choose_loss()
             self._shorten()  # long timesteps act like a delay
-            yield from self._choose_free()
-            yield from self._choose_step()
+            self._choose_free()
+            self._choose_step()
         else:
-            yield from self._leave_out()
-        yield from self._set("segments.count", *self._count(MOST_STEPS))
+            self._leave_out()
+        self._choose("segments.count", *self._count(MOST_STEPS))
         self.pilot = self._find_pilot() if self._small else None
 
-    def _set(self, option: str, value: Any, reason: str) -> Iterator[Choice]:
-        if not self._is_open(option):
-            return
-        section, _, key = option.rpartition(".")
-        (self.settings[section] if section else self.settings)[key] = value
-        yield Choice(option, value, reason)
-
-    def _heed(self) -> Iterator[Choice]:
-        """Set the options that the given ones determine; later stages treat them as given."""
-        for choice in imply(self._given["loss"]):
-            section, _, key = choice.option.partition(".")
-            yield from self._set(*choice)
+    def prepare(self) -> None:
+        """Run the stages that need no fit: implied options, precision, weights and segments."""
+        for choice in list(imply(self._given["loss"])):
             if self._is_open(choice.option):
-                self._given = {**self._given, section: {**self._given[section], key: choice.value}}
+                self._choose(*choice)
+                put(self._given, choice.option, choice.value)  # later stages treat it as given
+        self._weigh()
+        self._choose_segments()
 
-    def _weigh(self) -> Iterator[Choice]:
+    def _weigh(self) -> None:
         """Choose precision, integration order and weights."""
-        if self._order_is_open:
-            second_order = self.settings["bench"]["second_order"]
-            reason = "parameters hold in continuous time" if second_order else "parameters hold for this timestep"
-            yield Choice("bench.second_order", second_order, reason)
+        second_order = self.settings["bench"].get("second_order")
+        reason = "parameters hold in continuous time" if second_order else "parameters hold for this timestep"
+        self._choose("bench.second_order", second_order, reason)
         double_reason = "least squares need rounding errors far below the noise"
         single_reason = "rounding errors are far below the accuracy of this fit"
-        yield from self._set("dtype", *(("float64", double_reason) if self._small else ("float32", single_reason)))
+        self._choose("dtype", *(("float64", double_reason) if self._small else ("float32", single_reason)))
         noise, several = self._noise, self._bench.nv > 1
         position = " ".join(f"{value:.2g}" for value in noise.position)
-        yield from self._set("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
+        self._choose("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
         if not self._small:
-            yield from self._set("loss.velocity", 1.0, "this fit starts at measured states, noise included")
+            self._choose("loss.velocity", 1.0, "this fit starts at measured states, noise included")
         else:
-            yield from self._set("loss.velocity", noise.velocity_weight, self._say_velocity(noise))
+            self._choose("loss.velocity", noise.velocity_weight, self._say_velocity(noise))
         reason = "each joint's errors are divided by their RMS at the start" if several else "one joint"
-        yield from self._set("loss.by_joint", several, reason)
+        self._choose("loss.by_joint", several, reason)
         if not self._small:
-            yield from self._set("loss.refine", False, "initial states are estimated only with few parameters")
+            self._choose("loss.refine", False, "initial states are estimated only with few parameters")
 
     def _say_velocity(self, noise: Noise) -> str:
         if noise.velocity is None:
@@ -94,7 +83,7 @@ class Stages(Trials):
     def _unit(self) -> str:
         return {"hinge": "rad", "slide": "m"}[self._bench.joint_type]
 
-    def _choose_segments(self) -> Iterator[Choice]:
+    def _choose_segments(self) -> None:
         """Choose segments so short that errors of their initial states grow little."""
         longest = self._samples_in(max(_LONGEST, self._model.shortest_segment) if self._small else _SHORT)
         is_open = self._is_open("segments.length")
@@ -112,9 +101,9 @@ class Stages(Trials):
         stable = int(np.argmax(growth > _GROWTH)) if (growth > _GROWTH).any() else longest
         length = max(min(FEWEST, longest), stable)
         reason = f"an initial velocity error moves the position {growth[length - 1]:.2g} times as far as without forces"
-        yield from self._set("segments.length", length, f"{length * self._interval:.3g} s, within which {reason}")
+        self._choose("segments.length", length, f"{length * self._interval:.3g} s, within which {reason}")
 
-    def _choose_loss(self) -> Iterator[Choice]:
+    def _choose_loss(self) -> None:
         """Choose least squares, unless the model lacks something and a robust loss has a smaller validation error."""
         pilot = self._pilot()
         self._go_on(pilot)
@@ -123,34 +112,33 @@ class Stages(Trials):
         if self._look(pilot).is_more_than_noise or is_late:
             self._go_on(pilot, thorough=True)  # there may be another minimum
         if self._softness_is_open:
-            pilot = yield from self._choose_softness(pilot)
+            pilot = self._choose_softness(pilot)
         misfit = self._look(pilot)
         self._lacking, self._rounded, reason = misfit.is_more_than_noise, misfit.is_rounding, str(misfit)
-        yield from self._choose_encoder()
+        self._choose_encoder()
         if self._lacking:
             misfit = self._measure(pilot.errors(self._found, self._train, self._horizon * self._interval))
         longer = max(self._horizon, self.settings["segments"]["length"])
         robust = {"robust": "soft_l1", "robust_scale": misfit.scale, "refine": False, "length": longer}
         scale_reason = "larger errors get less weight"
         if self.settings["loss"]["robust"] not in (AUTO, "none"):  # a set robust loss needs its scale
-            yield from self._set("loss.robust_scale", robust["robust_scale"], scale_reason)
+            self._choose("loss.robust_scale", robust["robust_scale"], scale_reason)
             return
         try_robust = self._lacking and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
         error_ratio = self._validate(**robust) / self._validate() if try_robust else 1.0
         if try_robust:
             reason += f"; the robust loss has {error_ratio:.3g} times the validation error of least squares"
         if error_ratio < 1 - _BETTER:
-            yield from self._set("loss.robust", "soft_l1", reason)
-            yield from self._set("loss.robust_scale", robust["robust_scale"], scale_reason)
-            yield from self._set("loss.refine", False, "a robust loss starts at measured states")
-            if self._is_open("segments.length") and longer > self.settings["segments"]["length"]:
-                self.settings["segments"]["length"] = longer
-                yield Choice("segments.length", longer, "the length of the validated fit")
+            self._choose("loss.robust", "soft_l1", reason)
+            self._choose("loss.robust_scale", robust["robust_scale"], scale_reason)
+            self._choose("loss.refine", False, "a robust loss starts at measured states")
+            if longer > self.settings["segments"]["length"]:
+                self._choose("segments.length", longer, "the length of the validated fit")
             return
         refine_reason = "multiple shooting; noise in measured initial states would bias the result"
-        yield from self._set("loss.robust", "none", reason)
-        yield from self._set("loss.robust_scale", 1.0, "not used")
-        yield from self._set("loss.refine", True, refine_reason)
+        self._choose("loss.robust", "none", reason)
+        self._choose("loss.robust_scale", 1.0, "not used")
+        self._choose("loss.refine", True, refine_reason)
 
     def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
         """Fit a pilot, starting at the last result."""
@@ -165,7 +153,7 @@ class Stages(Trials):
     def _measure(self, errors: Float[np.ndarray, "batch time nv"]) -> Misfit:
         return Misfit.of(errors, self._noise.position, bool(self.settings["loss"]["by_joint"]))
 
-    def _choose_softness(self, pilot: Pilot) -> Generator[Choice, None, Pilot]:
+    def _choose_softness(self, pilot: Pilot) -> Pilot:
         """Choose dry friction as stiff as the timestep allows, or MuJoCo's default if that fits better."""
         reason = "the model has no friction constraint"
         if np.any(self._model.constrained):
@@ -182,27 +170,23 @@ class Stages(Trials):
                 self._go_on(pilot)
             else:
                 self.settings["bench"] = stiff
-        yield Choice("bench.solreffriction", self.settings["bench"]["solreffriction"], reason)
+        self._choose("bench.solreffriction", self.settings["bench"]["solreffriction"], reason)
         return pilot
 
-    def _choose_encoder(self) -> Iterator[Choice]:
+    def _choose_encoder(self) -> None:
         """Ignore errors within half an encoder step if rounding explains the residual."""
         step = self._noise.step
         applies = bool(step) and self._rounded and self.settings["loss"]["robust"] in (AUTO, "none")
         if not (applies and self._is_open("loss.encoder_step")):
             reason = "rounding does not explain the residual" if step else "positions show no rounding beyond noise"
-            yield from self._set("loss.encoder_step", 0.0, reason)
+            self._choose("loss.encoder_step", 0.0, reason)
             return
         reason = "rounding explains the residual: errors within half an encoder step do not count"
-        yield from self._set("loss.encoder_step", step, reason)
-        if self._is_open("loss.velocity"):
-            reason = (
-                f"reduced: beyond half an encoder step, position errors count like noise of {soft_width(step):.2g} "
-            )
-            self.settings["loss"]["velocity"] = self._velocity_beside_rounding()
-            yield Choice("loss.velocity", self.settings["loss"]["velocity"], f"{reason}{self._unit}")
+        self._choose("loss.encoder_step", step, reason)
+        reason = f"reduced: beyond half an encoder step, position errors count like noise of {soft_width(step):.2g} "
+        self._choose("loss.velocity", self._velocity_beside_rounding(), f"{reason}{self._unit}")
 
-    def _choose_free(self) -> Iterator[Choice]:
+    def _choose_free(self) -> None:
         """Identify optional parameters that differ clearly from 0 or reduce the validation error."""
         pilot, values = self._near, dict[str, str]()
         assert pilot is not None
@@ -225,9 +209,11 @@ class Stages(Trials):
         gain = f", to {error_ratio:.3g} times its value without it"
         for name in self._free:
             chosen = name not in self._out
-            self._identify(name, chosen)
             why = _HELPS if helps and name in doubtful else OPTIONAL[name] if chosen else _NOT_SHOWN
-            yield Choice(f"bench.params.{name}.identify", chosen, f"{why} ({values[name]})" + gain * (why == _HELPS))
+            reason = f"{why} ({values[name]})" + gain * (why == _HELPS)
+            self._choose(f"bench.params.{name}.identify", chosen, reason)
+            if not chosen:
+                put(self.settings, f"bench.params.{name}.init", 0.0)  # instead of its initial value
 
     def _judge_rivals(self, pilot: Pilot) -> dict[str, str]:
         """Leave out the rival that is not identifiable or fits worse; return the reason by its name."""
@@ -254,14 +240,7 @@ class Stages(Trials):
         texts = (f"{v:.3g}" + (f" +- {h:.2g}" if np.isfinite(h) else "") for v, h in zip(values, halves, strict=True))
         return shown, f"{', '.join(texts)} {unit}" + ("" if np.isfinite(halves).any() else ", no interval")
 
-    def _identify(self, name: str, whether: bool) -> None:
-        params = dict(self.settings["bench"]["params"])
-        param = {**self._given["bench"]["params"][name], "identify": whether}
-        # Not identifiable in a pilot: 0 instead of its initial value.
-        params[name] = param if whether or not self._small else {**param, "init": 0.0}
-        self.settings["bench"] = {**self.settings["bench"], "params": params}
-
-    def _choose_step(self) -> Iterator[Choice]:
+    def _choose_step(self) -> None:
         """Halve the timestep until a further halving changes no parameter by more than a third of half its interval."""
         reason, largest = self._shorten()
         if largest > _MOVES:
@@ -272,8 +251,7 @@ class Stages(Trials):
                 )
             )
         self.start = self._found
-        if self._step_is_open:
-            yield Choice("bench.timestep", self._step, reason)
+        self._choose("bench.timestep", self._step, reason)
 
     def _shorten(self) -> tuple[str, float]:
         """Halve the timestep as often as needed, with the slopes of the first timestep, which compile once.
@@ -311,18 +289,14 @@ class Stages(Trials):
             halvings = max(1, min(remaining, math.ceil(math.log(min(largest, 4.0**_ROUNDS) / _MOVES, 4)) - 1))
         return reason, largest
 
-    def _leave_out(self) -> Iterator[Choice]:
+    def _leave_out(self) -> None:
         """Fix the options that only pilots can choose."""
         for name in self._free:
-            self._identify(name, False)
             reason = "not estimated in this fit; fit a model with few parameters with fit=lm first, then set it"
-            yield Choice(f"bench.params.{name}.identify", False, reason)
-        if self._softness_is_open:
-            self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
-            reason = "MuJoCo's default; a stiffer constraint is tried only with few parameters"
-            yield Choice("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), reason)
-        yield from self._set("loss.robust", "none", "a robust loss is tried only with few parameters")
-        yield from self._set("loss.robust_scale", 1.0, "not used")
-        yield from self._set("loss.encoder_step", 0.0, "least squares average out encoder rounding")
-        if self._step_is_open:
-            yield Choice("bench.timestep", self._step, f"at most {1e3 * COARSEST:g} ms, divides the sample interval")
+            self._choose(f"bench.params.{name}.identify", False, reason)
+        reason = "MuJoCo's default; a stiffer constraint is tried only with few parameters"
+        self._choose("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), reason)
+        self._choose("loss.robust", "none", "a robust loss is tried only with few parameters")
+        self._choose("loss.robust_scale", 1.0, "not used")
+        self._choose("loss.encoder_step", 0.0, "least squares average out encoder rounding")
+        self._choose("bench.timestep", self._step, f"at most {1e3 * COARSEST:g} ms, divides the sample interval")

@@ -1,8 +1,11 @@
 """Trials of the automatic settings: pilot fits with the settings chosen so far."""
 
 import copy
+import logging
 import math
+import operator
 from collections.abc import Collection, Mapping, Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -19,11 +22,12 @@ from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
-from frictionzoo.identification.choices import OPTIONAL, RIVALS, is_open
+from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, is_open
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.models import FrictionModel, TorchFriction
 
+_log = logging.getLogger(__name__)
 FEWEST = 10  # samples of a segment
 _MANY = 10  # segments at least: the spread between them gives the intervals
 COARSEST = 1e-3  # s, longest first timestep, or 1/_FEWEST_STEPS of the sample interval if that is longer
@@ -40,20 +44,21 @@ class Trials:
         self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
     ) -> None:
         self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
+        self.choices: list[Choice] = []
         self.doubts: list[Doubt] = []
         self.start: PilotResult | None = None
         self.pilot: Pilot | None = None  # with the chosen settings
-        self._given, self._plain, self._train, self._model, self._fit = settings, bench, dataset.train, model, fit
+        self._given: dict[str, Any] = copy.deepcopy(dict(settings))
+        self._plain, self._train, self._model, self._fit = bench, dataset.train, model, fit
         self._free = [name for name in OPTIONAL if is_open(settings["bench"]["params"], name)]
         self._interval = dataset.train[0].timestep
-        self._step_is_open = settings["bench"].get("timestep") == AUTO
+        self._step_is_open = self._is_open("bench.timestep")
         if self._step_is_open:  # the longest one allowed that divides the sample interval
             longest = max(min(bench.timestep, COARSEST), self._interval / _FEWEST_STEPS)
             self._change(timestep=self._interval / math.ceil(self._interval / longest - 1e-9))
-        self._order_is_open = settings["bench"].get("second_order") == AUTO
-        if self._order_is_open:
+        if self._is_open("bench.second_order"):
             self._change(second_order=self._step_is_open and not isinstance(model, TorchFriction))
-        self._softness_is_open = settings["bench"].get("solreffriction") == AUTO
+        self._softness_is_open = self._is_open("bench.solreffriction")
         if self._softness_is_open:
             stiff = [2 * self._step, 1.0] if np.any(model.constrained) else DEFAULT_SOLREFFRICTION
             self._change(solreffriction=list(stiff))
@@ -99,8 +104,14 @@ class Trials:
         return self._find_pilot()
 
     def _is_open(self, option: str) -> bool:
-        section, _, key = option.rpartition(".")
-        return (self._given[section] if section else self._given)[key] == AUTO
+        return bool(reduce(lambda part, name: part.get(name, {}), option.split("."), self._given) == AUTO)
+
+    def _choose(self, option: str, value: Any, reason: str) -> None:
+        """Set an option if it is open, and record the choice."""
+        if self._is_open(option):
+            put(self.settings, option, value)
+            self.choices.append(Choice(option, value, reason))
+            _log.info("%s", self.choices[-1])
 
     def _pilot(self, most_steps: float = _FIRST_STEPS, **given: Any) -> Pilot:
         """Return a pilot with all open bench parameters free; `given` overrides options of segments and loss."""
@@ -189,6 +200,12 @@ class Trials:
     def _horizon(self) -> int:
         """Samples of an evaluation rollout."""
         return self._samples_in(float(self._given["evaluation"]["horizons"][0]))
+
+
+def put(settings: dict[str, Any], option: str, value: Any) -> None:
+    """Set the value of a dotted option."""
+    *path, name = option.split(".")
+    reduce(operator.getitem, path, settings)[name] = value
 
 
 def hold_back(segments: Segments, logs: Sequence[Log]) -> tuple[Bool[np.ndarray, "segments"], list[Log]]:
