@@ -23,7 +23,19 @@ from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
-from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
+from frictionzoo.fit import (
+    Adam,
+    Auto,
+    Fit,
+    Grid,
+    InverseDynamics,
+    LevenbergMarquardt,
+    Objective,
+    Several,
+    Space,
+    fit_reference,
+    run_fit,
+)
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loggers import TensorBoard
 from frictionzoo.fit.loop import Record
@@ -235,9 +247,10 @@ def test_grid_finds_the_best_of_its_points(tmp_path: Path) -> None:
     assert outcome.loss == outcome.history["loss"].min()
 
 
-def test_grid_refuses_a_network(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"fit=grid: friction\.layers\.0\.weight has no bounds"):
-        run(pose("residual_network"), Grid(3), tmp_path)
+@pytest.mark.parametrize("fit", [Grid(3), LevenbergMarquardt()])
+def test_a_network_is_refused(fit: Any) -> None:
+    with pytest.raises(ConfigError, match=rf"fit={fit.name}: .*use fit=adam"):
+        fit.total(pose("residual_network").objective)
 
 
 def test_reference_is_the_optimum() -> None:
@@ -311,15 +324,16 @@ def test_a_fit_that_never_starts_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
+    ("kind", "option", "value"),
     [
-        ((0, 0.01, 0.9, "auto"), "fit.iterations=0"),
-        ((1, 0.0, 0.9, "auto"), "fit.learning_rate=0.0"),
-        ((1, 0.01, 1.0, "auto"), "fit.b2=1.0"),
-        ((1, 0.01, 0.9, "both"), "fit.derivative=both; expected auto, forward or reverse"),
-        ((1, 0.01, 0.9, "auto", "cosin"), r"fit.schedule=cosin: unknown; did you mean cosine\?"),
+        *((Adam, *row) for row in (("iterations", 0), ("learning_rate", 0.0), ("b2", 1.0), ("derivative", "both"))),
+        (Adam, "schedule", "cosin"),
+        *((LevenbergMarquardt, *row) for row in (("iterations", 0), ("tolerance", 0.0))),
+        *((Several, *row) for row in (("tries", 0), ("tolerance", 2.0))),
+        *((InverseDynamics, *row) for row in (("bandwidth", 0.0), ("cutoff", -1.0), ("slow", 2.0))),
+        (Auto, "tries", 0),
     ],
 )
-def test_impossible_options_are_refused(arguments: tuple, line: str) -> None:
-    with pytest.raises(ConfigError, match=line):
-        Adam(*arguments)
+def test_impossible_options_are_refused(kind: type[Fit], option: str, value: Any) -> None:
+    with pytest.raises(ConfigError, match=rf"^fit\.{option}="):
+        kind(**{option: value})

@@ -1,7 +1,5 @@
 """Velocity errors as impulses: whose torque lacks, from when on, and an arm whose torque is noisy, with known truth."""
 
-from typing import Any
-
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -11,12 +9,11 @@ from test_shooting import shoot
 from test_start import ARM, TRUTH, swing
 
 from frictionzoo.bench import Bench, Force
-from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit.chunk import search
-from frictionzoo.fit.loss import Loss, impulses, is_moving, rigid_inertia_of
+from frictionzoo.fit.loss import impulses, is_moving, rigid_inertia_of
 
 IMPULSE = {"position": 0.0, "velocity": 1.0, "refine": False, "impulse": True, "by_joint": True}
 
@@ -75,20 +72,3 @@ def test_noise_of_the_torque_does_not_make_the_armature_heavier(bench: Bench, in
     assert np.abs(impulse["bench.armature"]).max() < 0.03
     # The elbow's friction is less than half of the noise: two standard errors.
     assert max(np.abs(value).max() for value in impulse.values()) < 0.15
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        ({"refine": True, "position": 0.0}, r"loss\.impulse=true with loss\.refine=true, loss\.position=0; expected"),
-        ({"position": 1.0}, r"loss\.impulse=true with loss\.refine=false, loss\.position=1; expected"),
-        ({"impulse": False, "slow": 0.1}, r"loss\.slow=0\.1 with loss\.impulse=false; expected loss\.impulse=true"),
-        ({"slow": 1.5}, r"loss\.slow"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], line: str) -> None:
-    given = (
-        {"robust": "none", "robust_scale": 1.0, "continuity": 0.0, "encoder_step": 0.0, "slow": 0.0} | IMPULSE | options
-    )
-    with pytest.raises(ConfigError, match=line):
-        Loss(**given)

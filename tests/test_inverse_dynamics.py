@@ -163,7 +163,7 @@ def test_a_held_command_counts_half_a_sample_later(arm_file: Path) -> None:
     np.testing.assert_allclose(held.lack(vector), expected, atol=1e-9)
 
 
-LAWS = ("coulomb_smooth", "coulomb_stribeck", "stribeck", "asymmetric", "load_dependent", "polynomial_viscous")
+LAWS = ("coulomb_stribeck", "asymmetric", "load_dependent")
 
 
 def friction_of(law: FrictionModel, truth: dict[str, np.ndarray], state: DriveState) -> np.ndarray:
@@ -256,32 +256,14 @@ def test_link_inertia_is_found_as_far_as_the_data_tell(arm_file: Path, monkeypat
     np.testing.assert_allclose(found.bodies[0, 0], maker[0, 0], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"bandwidth": 0.0}, "fit.bandwidth=0; expected a positive frequency in Hz"),
-        ({"cutoff": -1.0}, "fit.cutoff=-1.0: expected a positive frequency in Hz"),
-        ({"slow": 2.0}, "fit.slow=2: expected 0 to 1"),
-    ],
-)
-def test_impossible_options_are_refused(options: dict[str, float], message: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        InverseDynamics(**options)
-    assert str(caught.value) == message
-
-
 def test_a_short_log_is_refused(arm_file: Path) -> None:
     qpos = move(5, seconds=0.2)[0]
-    with pytest.raises(LogError, match=r"a: 100 samples, expected at least 150 with fit.bandwidth=20 Hz; raise it"):
+    with pytest.raises(LogError, match=r"a: 100 samples, expected at least 150 with fit.bandwidth"):
         equation_of(bench_of(arm_file), law_of("mujoco_default", 5), log_of(qpos, qpos))
 
 
 def test_links_take_the_place_of_the_files_and_a_record_tells_them(arm_file: Path) -> None:
-    name = "upper"
-    text = arm_file.read_text().replace("<body pos", f'<body name="{name}" pos', 2).replace(name, "base", 1)
-    named = arm_file.with_name("named.xml")
-    named.write_text(text)
-    bench = bench_of(named)
+    name, bench = "link2", bench_of(name_links(arm_file))
     model = bench.compile(constraint=False)
     body = model.body(name).id
     other = LogCholesky.around(inertial_parameters(model, [body]), [name]).parameters(np.full((1, 10), 0.05))
@@ -289,10 +271,9 @@ def test_links_take_the_place_of_the_files_and_a_record_tells_them(arm_file: Pat
     for again in (changed, build(describe(changed))):
         np.testing.assert_allclose(inertial_parameters(again.compile(False), [body]), other, rtol=1e-9)
     np.testing.assert_array_equal(inertial_parameters(bench.compile(False), [body]), inertial_parameters(model, [body]))
-    with pytest.raises(BenchError, match="no body uper; did you mean upper"):
-        bench.with_inertia({"uper": other[0].tolist()})
-    with pytest.raises(BenchError, match=r"bench.inertia.upper=\[1, 2\]: expected m, mx, my, mz"):
-        bench.with_inertia({name: [1, 2]})
+    for inertia in ({"lnk2": other[0].tolist()}, {name: [1, 2]}):
+        with pytest.raises(BenchError, match=r"did you mean link2|bench\.inertia\.link2"):
+            bench.with_inertia(inertia)
 
 
 def name_links(arm_file: Path) -> Path:
@@ -352,15 +333,6 @@ def test_a_base_that_stands_askew_is_told_by_its_vertical_joint(arm_file: Path, 
     assert left[1] < 0.5 * left[0]
 
 
-def test_gravity_that_cannot_be_is_refused(arm_file: Path) -> None:
-    bench, motion = bench_of(arm_file).with_gravity([0, 0, 0]), move(5, seconds=2.0)
-    recordings = Recordings(bench, law_of("mujoco_default", 5), (bench.accept(log_of(motion[0], motion[0])),))
-    with pytest.raises(ConfigError, match=r"fit.tilt=true: there is no gravity on this bench; set fit.tilt=false"):
-        InverseDynamics(tilt=True).revise(recordings)
-    with pytest.raises(ConfigError, match=r"bench.gravity=\[0, 1\]: expected three numbers in m/s\^2"):
-        bench.with_gravity([0, 1])
-
-
 def balance_rms(equation: TorqueEquation) -> np.ndarray:
     """Torque that is left of each joint at the best coordinates."""
     found = balance(equation)
@@ -382,20 +354,22 @@ def test_a_gear_that_couples_two_joints_is_told(arm_file: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "option"),
     [
-        ({"links": "("}, "fit.links: (: no pattern"),
-        ({"links": "hand"}, "fit.links: hand: no body of that name moves"),
-        ({"prior": {"mass": 0.1}}, "fit.prior.centre: expected mass, centre and size"),
-        ({"prior": {"mass": 0.0, "centre": 1.0, "size": 1.0}}, "fit.prior.mass=0.0; expected a number above 0"),
+        ({"links": "("}, r"fit\.links: \("),
+        ({"links": "hand"}, r"fit\.links: hand"),
+        ({"prior": {"mass": 0.1}}, r"fit\.prior\.centre"),
+        ({"prior": {"mass": 0.0, "centre": 1.0, "size": 1.0}}, r"fit\.prior\.mass"),
+        ({"tilt": True}, r"fit\.tilt"),
     ],
 )
-def test_links_that_cannot_be_are_refused(options: dict[str, Any], message: str, arm_file: Path) -> None:
-    bench, motion = bench_of(arm_file), move(5, seconds=2.0)
+def test_links_and_gravity_that_cannot_be_are_refused(options: dict[str, Any], option: str, arm_file: Path) -> None:
+    bench, motion = bench_of(arm_file).with_gravity([0, 0, 0]), move(5, seconds=2.0)
     recordings = Recordings(bench, law_of("mujoco_default", 5), (bench.accept(log_of(motion[0], motion[0])),))
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=f"^{option}"):
         InverseDynamics(**options).revise(recordings)
-    assert str(caught.value).startswith(message)
+    with pytest.raises(ConfigError, match=r"^bench\.gravity"):
+        bench.with_gravity([0, 1])
 
 
 def test_a_job_finds_a_servo_by_its_torque(

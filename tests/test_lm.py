@@ -104,6 +104,8 @@ def test_what_cannot_be_identified_does_not_break_it() -> None:
     short, slopes = compress(equations, 1.0)
     np.testing.assert_allclose(slopes.T @ short, equations.gradient, atol=1e-12)
     assert np.isfinite(short).all()
+    rounding = -np.array([[1e9, 3e9], [2e9, 1e10]])
+    assert all(np.isfinite(part).all() for part in compress(NormalEquations(1.0, np.ones(2), rounding), 1.0))
 
 
 def test_chunks_change_no_bit(tmp_path: Path) -> None:
@@ -193,16 +195,6 @@ def test_refined_starts_take_the_bias_of_noisy_ones_away(tmp_path: Path) -> None
     assert sum(after for _, after in errors.values()) < 0.5 * sum(before for before, _ in errors.values())
 
 
-@pytest.mark.slow
-def test_rounding_beyond_half_a_step_is_what_counts() -> None:
-    loss = Loss(1.0, 0.0, "none", 1.0, False, 0.0, 0.02, False, False, 0.0)
-    errors = np.array([-0.03, -0.009, 0.0, 0.005, 0.02])
-    counted = np.asarray(loss.unexplained(jnp.asarray(errors)))
-    np.testing.assert_allclose(counted, np.sign(errors) * np.maximum(np.abs(errors) - 0.01, 0.0), atol=7e-4)
-    plain = Loss(1.0, 0.0, "none", 1.0, False, 0.0, 0.0, False, False, 0.0)
-    np.testing.assert_array_equal(plain.unexplained(jnp.asarray(errors)), errors)
-
-
 def test_what_rounding_explains_left_out_values_are_far_closer() -> None:
     """Of swings that are sampled more often than the encoder steps, so that rounding errors follow each other."""
     loss, time = Loss(1.0, 0.0, "none", 1.0, False, 0.0, 0.1, False, False, 0.0), np.linspace(0, 20, 4000)
@@ -220,50 +212,32 @@ def test_what_rounding_explains_left_out_values_are_far_closer() -> None:
     assert np.std(counted) < 0.3 * np.std(plain)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
-def test_both_engines_find_the_same(tmp_path: Path) -> None:
-    for model in ("mujoco_default", "coulomb_stribeck"):
-        ours, stock = (
-            identified(run(pose(model, engine=engine), LM, tmp_path / model / engine).values)
-            for engine in ("specialised", "mjx")
-        )
-        assert ours == pytest.approx(stock, rel=1e-4)
-
-
 @pytest.mark.parametrize(
-    ("options", "line"),
+    ("option", "options"),
     [
-        ({"robust": "huberr"}, r"loss\.robust=huberr: unknown; did you mean huber\?"),
-        ({"encoder_step": -1.0}, r"loss\.encoder_step=-1; expected 0, for none, or a positive number"),
-        ({"robust": "huber", "robust_scale": 0.0}, r"loss\.robust_scale=0; expected a positive number"),
-        ({"robust": "huber", "refine": True}, r"loss\.robust=huber with loss\.refine=true; expected one of them"),
-        ({"refine": True, "velocity": 0.0}, r"loss\.refine=true with a weight of 0"),
+        ("loss.robust", {"robust": "huberr"}),
+        ("loss.encoder_step", {"encoder_step": -1.0}),
+        ("loss.robust_scale", {"robust": "huber", "robust_scale": 0.0}),
+        ("loss.robust", {"robust": "huber", "refine": True}),
+        ("loss.refine", {"refine": True, "velocity": 0.0}),
+        ("loss.continuity", {"refine": True, "continuity": -1.0}),
+        ("loss.continuity", {"continuity": 1.0}),
+        ("loss.continuity", {"refine": True, "continuity": 1.0}),  # no segment begins where another ends
+        ("loss.impulse", {"refine": True, "position": 0.0, "impulse": True}),
+        ("loss.impulse", {"impulse": True}),
+        ("loss.slow", {"slow": 0.1}),
+        ("loss.slow", {"position": 0.0, "impulse": True, "slow": 1.5}),
     ],
 )
-def test_impossible_losses_are_refused(options: dict[str, Any], line: str) -> None:
-    with pytest.raises(ConfigError, match=line):
+def test_impossible_losses_are_refused(option: str, options: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=option):
         pose("mujoco_default", **options)
-
-
-def test_a_network_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"fit=lm: \d+ coordinates .*, expected at most 200; use fit=adam"):
-        run(pose("residual_network"), LM, tmp_path)
 
 
 def test_auto_takes_the_method_that_suits_the_law(make: Callable[..., Any], tmp_path: Path) -> None:
     few, many = pose("mujoco_default"), bowl(pose("residual_network"))
     auto = make("fit", "fit=auto", "fit.tries=50", "fit.tolerance=1e-12", "fit.iterations=5", "fit.learning_rate=1e-3")
-    assert auto.choose(few.objective).name == "lm" and auto.total(few.objective) == 50
-    assert auto.choose(many.objective).name == "adam" and auto.total(many.objective) == 5
+    assert auto.choose(few.objective).name == "lm" and auto.choose(many.objective).name == "adam"
     assert_recovered(run(few, auto, tmp_path / "few").values, 1e-6)
     found, adam = (run(many, fit, tmp_path / fit.name) for fit in (auto, make("fit", *ADAM)))
     np.testing.assert_array_equal(found.vector, adam.vector)
-    with pytest.raises(ConfigError, match=r"fit\.tries=0: expected 1 to 10000"):
-        make("fit", "fit=auto", "fit.tries=0")
-
-
-@pytest.mark.parametrize(("arguments", "line"), [((0, 1e-8), r"fit\.iterations=0"), ((9, 0.0), r"fit\.tolerance=0\.0")])
-def test_impossible_options_are_refused(arguments: tuple[int, float], line: str) -> None:
-    with pytest.raises(ConfigError, match=line):
-        LevenbergMarquardt(*arguments)

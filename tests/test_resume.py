@@ -209,23 +209,22 @@ def test_what_ends_a_job_is_one_line_that_says_how_to_go_on(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "option"),
     [
-        (["resume=true"], "resume=true: expected the command of a sweep, -m and hydra.sweep.dir=FOLDER"),
-        (["-m", "resume=true"], "resume=true: expected the command of a sweep, -m and hydra.sweep.dir=FOLDER"),
-        (["-m", "resume=true", "hydra.sweep.dir=nowhere"], "hydra.sweep.dir=nowhere: no job in it"),
-        (["-m", "resume=sweep"], "resume=sweep: expected true, as a run goes on without -m"),
-        (["resume=sweep"], "name one; a sweep goes on with -m hydra.sweep.dir=sweep resume=true"),
+        (["resume=true"], "resume=true"),
+        (["-m", "resume=true"], "resume=true"),
+        (["-m", "resume=true", "hydra.sweep.dir=nowhere"], "hydra.sweep.dir=nowhere"),
+        (["-m", "resume=sweep"], "resume=sweep"),
+        (["resume=sweep"], "hydra.sweep.dir=sweep resume=true"),
     ],
 )
 def test_a_resumed_sweep_has_to_be_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], complaint: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], option: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep" / "0_baseline" / ".hydra").mkdir(parents=True)
-    with pytest.raises(ConfigError) as refused:
+    with pytest.raises(ConfigError, match=option):
         restore_overrides(arguments)
-    assert complaint in str(refused.value)
     whole = ["-m", "hydra.sweep.dir=sweep", "resume=true"]
     assert restore_overrides(whole) == whole
 
@@ -254,30 +253,32 @@ def test_a_run_that_lost_patience_is_resumed_to_the_same_end(pose: Callable, tmp
 
 
 @pytest.mark.parametrize(
-    ("override", "changed"),
+    ("overrides", "changed"),
     [
-        ("fit.learning_rate=0.02", {"fit"}),
-        ("seed=1", {"seed"}),
-        ("segments.count=19", {"segments", "training samples"}),
-        ("data.split.test_share=0.3", {"training samples"}),
-        ("bench.params.armature.init=0.02", {"bench"}),
-        ("model.params.viscous_coefficient.init=0.02", {"model settings"}),
-        ("loss.velocity=0.5", {"loss"}),
-        ("dtype=float32", {"dtype"}),
-        ("loop.chunk=3", {"chunk"}),
-        ("loop.patience=9", set()),
-        ("evaluation.rollouts=2", set()),
+        (
+            ("fit.learning_rate=0.02", "seed=1", "loss.velocity=0.5", "dtype=float32", "loop.chunk=3"),
+            {"fit", "seed", "loss", "dtype", "chunk"},
+        ),
+        (
+            ("bench.params.armature.init=0.02", "model.params.viscous_coefficient.init=0.02"),
+            {"bench", "model settings"},
+        ),
+        (("segments.count=19",), {"segments", "training samples"}),
+        (("data.split.test_share=0.3",), {"training samples"}),
+        (("loop.patience=9", "evaluation.rollouts=2"), set()),
     ],
 )
-def test_what_makes_it_another_run(pose: Callable, finished_run: Callable, override: str, changed: set[str]) -> None:
+def test_what_makes_it_another_run(
+    pose: Callable, finished_run: Callable, overrides: tuple[str, ...], changed: set[str]
+) -> None:
     folder, _ = finished_run("coulomb_smooth")
     begun = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]["identity"]
-    now = _identify("coulomb_smooth", pose("fit.iterations=3", override))
+    now = _identify("coulomb_smooth", pose("fit.iterations=3", *overrides))
     assert {what for what, value in now.items() if begun[what] != value} == changed
     assert now.keys() == begun.keys()
     assert now["data"] == json.loads((folder / "result.json").read_text())["data"]["sha256"]
     for what in [*changed, "model", "data", "engine"]:
-        with pytest.raises(CheckpointError, match=rf"last\.ckpt: {what} .*, expected .*; resume with"):
+        with pytest.raises(CheckpointError, match=rf"last\.ckpt: {what} "):
             loop._checked_checkpoint(folder, begun | {what: "another"})
     assert loop._checked_checkpoint(folder, begun) == folder / "checkpoints" / "last.ckpt"
 

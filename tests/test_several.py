@@ -11,7 +11,6 @@ from omegaconf import OmegaConf
 from test_fit import Problem, pose, record, x64  # noqa: F401 - x64 is a fixture for all tests
 
 from frictionzoo.core.config import compose_config
-from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt, Several
 from frictionzoo.fit.chunk import search
@@ -142,10 +141,3 @@ def test_a_search_with_rivals_ends_when_it_is_slow(stiffness: float, patience: i
 
     descend(evaluate, Box(np.ones(1), -np.ones(1), np.ones(1)), 30, 1e-9, patience=patience)
     assert len(tried) == vectors
-
-
-def test_impossible_options_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"^fit.tolerance=2.0; expected a number between 0 and 1"):
-        Several(tolerance=2.0)
-    with pytest.raises(ConfigError, match=r"^fit.tries=0: expected"):
-        Several(tries=0)

@@ -117,7 +117,7 @@ def test_any_fit_may_be_the_start_of_another(begun: Problem, in_haste: None, cap
 def test_a_start_that_cannot_be_is_refused(
     begun: Problem, bench: Bench, recorded: Dataset, make: Callable[..., Any]
 ) -> None:
-    with pytest.raises(ConfigError, match=r"fit\.start: str, expected another fit, such as start=inverse_dynamics"):
+    with pytest.raises(ConfigError, match=r"fit\.start"):
         as_start("inverse_dynamics")
     for name in ("known", "grid", "inverse_dynamics"):
         with pytest.raises(ConfigError, match=r"takes no arguments|unexpected keyword argument 'start'"):

@@ -1,17 +1,14 @@
 """Automatic choice of the method by the model, for sweeps over models of all kinds."""
 
-from typing import Any
-
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.fit.adam import Adam
-from frictionzoo.fit.base import Evaluation, Fit, register_method
-from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.base import Fit, register_method
 from frictionzoo.fit.lm import MOST_COORDINATES, MOST_TRIES, LevenbergMarquardt
 from frictionzoo.fit.objective import Objective
 
 
 @register_method("auto")
-class Auto(Fit):
+class Auto(Adam):
     """Levenberg-Marquardt where it applies; Adam for networks and for models that exist only in torch.
 
     Args:
@@ -42,17 +39,9 @@ class Auto(Fit):
         refuse_outside("fit.tries", tries, 1, MOST_TRIES)
         self._lm = LevenbergMarquardt(tries, tolerance, start)
         self._adam = Adam(iterations, learning_rate, b2, derivative, schedule, start)
-        self.start = start
+        super().__init__(iterations, learning_rate, b2, derivative, schedule, start)
 
     def choose(self, objective: Objective) -> Fit:
         """See `Fit.choose`."""
         few = len(objective.space.start) <= MOST_COORDINATES
         return self._lm if few and not objective.torch_law else self._adam
-
-    def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError if there is no parameter to identify."""
-        return self.choose(objective).total(objective)
-
-    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Evaluation, Any, Any]:
-        """See `Fit.step`; the method of `choose` does it."""
-        return self.choose(objective).step(objective, vector, state, data)

@@ -17,7 +17,7 @@ from frictionzoo.fit.torque_equation import TorqueEquation
 _PASSES = 50  # rounds of weights; five are usual
 _SETTLED = 1e-3  # relative change of the weights below which they have converged
 _STEPS = 10  # steps with the same weights; few, because the weights still change
-_LENGTHS = 0.5 ** np.arange(6)  # shares of a step that are tried
+_LENGTHS = tuple(0.5**halvings for halvings in range(6))  # shares of a step that are tried
 _BEND = 1e-5  # step of the finite difference in coordinates
 _TOLERANCE = 1e-7  # least predicted decrease, as a share of the loss: a hundredth of a standard error
 
@@ -140,7 +140,7 @@ def balance(equation: TorqueEquation, links: Links | None = None) -> Balance:
     """
     unknowns, moving = _Unknowns(equation, links), equation.moving
     box = unknowns.box
-    sigma, converged = _deviation(unknowns.residual(box.start), moving, 0.0), False
+    sigma = _deviation(unknowns.residual(box.start), moving, 0.0)
     for _ in range(_PASSES):
         evaluate = partial(unknowns.evaluate, sigma=sigma)
         values, _, converged = descend(
