@@ -23,7 +23,7 @@ from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.choices import OPTIONAL, imply
 from frictionzoo.identification.noise import Misfit, Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
-from frictionzoo.identification.problem import Parts, _divide_interval
+from frictionzoo.identification.recipe import Parts, _divide_interval
 from frictionzoo.identification.trials import hold_back
 
 TIMESTEP, DELAY = 0.005, 0.012
@@ -214,7 +214,7 @@ def test_a_network_has_no_pilot(recorded: Dataset) -> None:
     config = compose_config("data=twin", "recipe=auto", "model=neural_friction", "fit=adam")
     settings: Any = OmegaConf.to_container(config, resolve=True)
     law = fz.law("neural_friction", hidden=[4, 4])
-    settled = Parts.settle(settings, knee(), recorded, law, build(settings["fit"])).settled
+    settled = Parts.settle(settings, knee(), recorded, law, build(settings["fit"]))
     chosen = {choice.option: choice.value for choice in settled.choices}
     assert settled.start is None and chosen["loss.refine"] is False and chosen["dtype"] == "float32"
     assert chosen["bench.params.delay.identify"] is False

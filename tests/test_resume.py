@@ -301,7 +301,7 @@ def test_automatic_settings_are_found_once(
         stopped = call(*options, "hydra.run.dir=run")
     assert stopped.status == 2 and (tmp_path / "run" / recipe.SETTLED).exists(), stopped.err
     with monkeypatch.context() as patched:
-        patched.setattr(recipe, "settle", stop)
+        patched.setattr(recipe.Stages, "run", stop)
         resumed = call("resume=run")
     assert resumed.status in (0, 3) and "automatic settings read from" in resumed.err
     assert_same(tmp_path / "run", tmp_path / "whole")

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +19,6 @@ from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
-from frictionzoo.identification.recipe import settle_once
 from frictionzoo.report.terminal import summarise_in_markdown
 from frictionzoo.result.record import describe_data, pick_metrics
 from frictionzoo.result.types import Result
@@ -48,7 +46,7 @@ def run_job(
     """
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     logger = build(settings["logger"], RunLogger)
-    parts = Parts.from_settings(settings, given, partial(settle_once, folder))
+    parts = Parts.from_settings(settings, given, folder)
     tell("checking the input, compiling")
     with parts.computing() as device:
         measured = Problem.pose(parts)

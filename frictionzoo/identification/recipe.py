@@ -1,9 +1,12 @@
-"""Automatic settings: options chosen on the training data, each with a reason, and kept in the folder of a run."""
+"""Checked input of an identification, with automatic settings, which the folder of a run keeps."""
 
+import contextlib
 import copy
 import hashlib
 import json
 import logging
+import math
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,21 +17,30 @@ import safetensors.numpy
 
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
+from frictionzoo.bench.given import Given
+from frictionzoo.bench.signals import pair_all
+from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.output import SETTLED, to_json, write_atomically
 from frictionzoo.core.params import AUTO
+from frictionzoo.core.telling import align, list_columns
 from frictionzoo.data.cache import digest
+from frictionzoo.data.pairing import describe_columns
 from frictionzoo.diagnostics.findings import Doubt, Repair
+from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit
-from frictionzoo.identification.choices import OPTIONAL, Choice
+from frictionzoo.identification.choices import OPTIONAL, Choice, widen_bounds
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.identification.stages import Stages
 from frictionzoo.identification.trials import put
 from frictionzoo.models import FrictionModel
+from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.record import describe_data
+from frictionzoo.simulation.context import computing, refuse_precision
+from frictionzoo.simulation.drive import refuse_other_joints
 
 RECIPES = ("given", AUTO)
 _TEXT = "settled"  # entry of the file's header
@@ -39,39 +51,181 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Settled:
-    """Settings without open options.
+class Parts:
+    """Input of a problem, checked, and settings without open options.
 
     Attributes:
-        choices: Choices in the order in which they were made.
+        settings: All options that the record reports; among them `segments`, `loss` and `evaluation`, the arguments of
+            `cut_segments`, `Objective` and `Evaluation`.
+        model: The friction model; it is prepared for the data, and a fit leaves the best values in it.
+        doubts: Likely faults of the recordings, and warnings where the wanted accuracy is not reached.
+        choices: Automatic settings in the order in which they were chosen.
         start: Start of the fit; None: the initial values.
-        doubts: Warnings where the wanted accuracy is not reached.
-        pilot: A pilot fit with these settings; None if there was none, or if the settings come from a file.
+        pilot: A pilot fit with these settings; None if there was none.
+        seconds: Time to prepare the parts [s].
     """
 
     settings: Mapping[str, Any]
     bench: Bench
+    dataset: Dataset
+    model: FrictionModel
+    fit: Fit
+    doubts: list[Doubt]
     choices: tuple[Choice, ...] = ()
     start: PilotResult | None = None
-    doubts: tuple[Doubt, ...] = ()
     pilot: Pilot | None = None
+    seconds: float = 0.0
 
+    @classmethod
+    def from_settings(
+        cls, settings: Mapping[str, Any], given: Given | None = None, folder: Path | None = None
+    ) -> "Parts":
+        """Build the parts that the settings describe; `given` are bench and recordings that have been read already.
 
-def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit) -> Settled:
-    """Choose open options (`auto`) on the training recordings alone, in float64.
+        Raises:
+            FrictionzooError: The input is at fault.
+        """
+        began = time.perf_counter()
+        bench, dataset, earlier, settings = given or Given.read(settings)._replace(seconds=0.0)
+        settings = {**settings, "model": complete_laws(settings["model"], settings)}
+        model = build(settings["model"], FrictionModel, nv=bench.nv)
+        model.bind(bench.joints)
+        model.begin(bench.initial_friction(model.params))
+        parts = cls.settle(settings, bench, dataset, model, build(settings["fit"], Fit), folder)
+        return replace(parts, seconds=earlier + time.perf_counter() - began)
 
-    Other options and the model, which is bound to the joints, do not change. `bench` has no open options.
+    @classmethod
+    def settle(
+        cls,
+        settings: Mapping[str, Any],
+        bench: Bench,
+        dataset: Dataset,
+        model: FrictionModel,
+        fit: Fit,
+        folder: Path | None = None,
+    ) -> "Parts":
+        """Check the input, and choose open options (`auto`) on the training recordings alone, in float64.
 
-    Raises:
-        FrictionzooError: The input is at fault.
-    """
-    refuse_unknown(settings["recipe"])
-    if settings["recipe"] != AUTO:
-        return Settled(settings, bench)
-    stages = Stages(settings, bench, dataset, model, fit)
-    stages.run()
-    outcome = stages.start, tuple(stages.doubts), stages.pilot
-    return Settled(stages.settings, stages.bench(), tuple(stages.choices), *outcome)
+        Other options do not change. `bench` has no open options. `folder` keeps the choices for runs with the same
+        options and data.
+
+        Raises:
+            FrictionzooError: The input is at fault, or the choices cannot be written.
+        """
+        began = time.perf_counter()
+        refuse_unknown(settings["recipe"])
+        if settings["dtype"] != AUTO:
+            refuse_precision(settings["dtype"])  # before the first fit
+        for note in bench.notes:
+            _log.info("%s: %s", bench.source, note)
+        refuse_other_joints(model, bench)
+        model.bind(bench.joints)
+        dataset = pair_all(dataset, bench.joints)
+        bench, settings = _divide_interval(bench, settings, dataset.train[0].timestep)
+        for columns in describe_columns(dataset.logs, bench.joints) if bench.nv > 1 else ():
+            others = len(columns["logs"]) - 1
+            names = columns["logs"][0] + (f" and {others} more" if others else "")
+            _log.info("%s: columns by joint\n%s", names, align(list_columns(columns)))
+        observing = bench.observing(model.inputs)
+        train, test = (tuple(map(observing.accept, logs)) for logs in (dataset.train, dataset.test))
+        doubts = check_up(Dataset(dataset.name, train, test), observing, settings["checkup"])
+        settings, bench, widened = widen_bounds(settings, bench, train, model)
+        parts = cls(settings, bench, dataset, model, fit, doubts, widened)
+        if settings["recipe"] == AUTO:
+            with computing("float64", settings["device"], settings["compilation_cache"]):
+                parts = parts._choose() if folder is None else parts._choose_once(folder / SETTLED)
+        return replace(parts, seconds=time.perf_counter() - began)
+
+    def computing(self) -> contextlib.AbstractContextManager[str]:
+        """Return a context with JAX in the precision and on the device of the settings."""
+        return computing(*(self.settings[name] for name in ("dtype", "device", "compilation_cache")))
+
+    @property
+    def _stages(self) -> Stages:
+        return Stages(self.settings, self.bench, self.dataset, self.model, self.fit)
+
+    def _choose(self) -> "Parts":
+        stages = self._stages
+        stages.run()
+        return replace(
+            self,
+            settings=stages.settings,
+            bench=stages.bench(),
+            choices=(*self.choices, *stages.choices),
+            start=stages.start,
+            doubts=[*self.doubts, *stages.doubts],
+            pilot=stages.pilot,
+        )
+
+    def _choose_once(self, path: Path) -> "Parts":
+        """Choose open options, or read the choices of a run with the same options and data.
+
+        The file may come from a stranger: nothing in it is executed.
+        """
+        identity = self._identify()
+        if (stored := self._read(path, identity)) is not None:
+            _log.info("automatic settings read from %s", path)
+            if stored.start is None:
+                return stored
+            pilot = self._stages.repeat(stored.settings, stored.start)
+            return replace(stored, pilot=pilot)  # the fit uses its compiled equations
+        chosen = self._choose()
+        before, start = dict(list_options(self.settings)), chosen.start
+        text = {
+            "identity": identity,
+            "options": {key: value for key, value in list_options(chosen.settings) if before.get(key) != value},
+            "choices": chosen.choices[len(self.choices) :],
+            "doubts": chosen.doubts[len(self.doubts) :],
+            "labels": start and start.labels,
+            "loss": start and start.loss,
+        }
+        arrays = {name: getattr(start, name) for name in _ARRAYS} if start else {}
+        arrays = {name: array for name, array in arrays.items() if array is not None}
+        write_atomically(path, safetensors.numpy.save(arrays, {_TEXT: json.dumps(to_json(text))}))
+        return chosen
+
+    def _read(self, path: Path, identity: str) -> "Parts | None":
+        """Return these parts with stored choices; None if there are none, or they cannot be read."""
+        if not path.exists():
+            return None
+        try:
+            with safetensors.safe_open(path, "numpy") as file:
+                arrays: dict[str, Any] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                stored = json.loads((file.metadata() or {})[_TEXT])
+            fits = stored["identity"] == identity and {*stored["options"]} <= {*_list_open(self.settings)}
+        except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError):
+            fits = False
+        if not fits:
+            _log.info("%s: damaged, or for other options or data; automatic settings are chosen again", path)
+            return None
+        settings, start = copy.deepcopy(dict(self.settings)), None
+        for option, value in stored["options"].items():
+            put(settings, option, value)
+        if stored["labels"] is not None:
+            start = PilotResult(labels=stored["labels"], loss=stored["loss"], **{"states": None, **arrays})
+        section = {name: settings["bench"][name] for name in _OF_THE_BENCH if name in settings["bench"]}
+        doubts = (Doubt(text, tuple(Repair(*repair) for repair in repairs)) for text, repairs in stored["doubts"])
+        return replace(
+            self,
+            settings=settings,
+            bench=remake(self.bench, **section),
+            choices=(*self.choices, *(Choice(*choice) for choice in stored["choices"])),
+            doubts=[*self.doubts, *doubts],
+            start=start,
+        )
+
+    def _identify(self) -> str:
+        """Return the SHA-256 of everything that the automatic settings depend on."""
+        state = {name: value.numpy() for name, value in self.model.state_dict().items()}
+        values = self.bench.initial_values()
+        facts = {
+            "version": __version__,
+            "settings": {name: value for name, value in self.settings.items() if name not in _INDIFFERENT},
+            "data": describe_data(self.dataset),
+            "bench": [self.bench.template(), values and digest(values)],
+            "model": digest(state),
+        }
+        return hashlib.sha256(json.dumps(to_json(facts), sort_keys=True).encode()).hexdigest()
 
 
 def refuse_unknown(recipe: str) -> None:
@@ -94,77 +248,16 @@ def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bo
     return {**bench, "params": {**optional, **(bench.get("params") or {})}, **open_options}
 
 
-def settle_once(
-    folder: Path, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
-) -> Settled:
-    """Choose as `settle` does, or return the choices that a run with the same options and data left in this folder.
-
-    The folder may come from a stranger: nothing in it is executed.
-
-    Raises:
-        FrictionzooError: The input is at fault, or the file cannot be written.
-    """
-    if settings["recipe"] != AUTO:
-        return settle(settings, bench, dataset, model, fit)
-    path, identity = folder / SETTLED, _identify(settings, bench, dataset, model)
-    if (stored := _read(path, identity, settings, bench)) is not None:
-        _log.info("automatic settings read from %s", path)
-        if stored.start is None:
-            return stored
-        pilot = Stages(settings, bench, dataset, model, fit).repeat(stored.settings, stored.start)
-        return replace(stored, pilot=pilot)  # the fit uses its compiled equations
-    settled = settle(settings, bench, dataset, model, fit)
-    before, start = dict(list_options(settings)), settled.start
-    text = {
-        "identity": identity,
-        "options": {key: value for key, value in list_options(settled.settings) if before.get(key) != value},
-        "choices": settled.choices,
-        "doubts": settled.doubts,
-        "labels": start and start.labels,
-        "loss": start and start.loss,
-    }
-    arrays = {name: getattr(start, name) for name in _ARRAYS} if start else {}
-    arrays = {name: array for name, array in arrays.items() if array is not None}
-    write_atomically(path, safetensors.numpy.save(arrays, {_TEXT: json.dumps(to_json(text))}))
-    return settled
-
-
-def _read(path: Path, identity: str, settings: Mapping[str, Any], bench: Bench) -> Settled | None:
-    """Return the settings stored for these options and data; None if there are none, or they cannot be read."""
-    if not path.exists():
-        return None
-    try:
-        with safetensors.safe_open(path, "numpy") as file:
-            arrays: dict[str, Any] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-            stored = json.loads((file.metadata() or {})[_TEXT])
-        fits = stored["identity"] == identity and {*stored["options"]} <= {*_list_open(settings)}
-    except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError):
-        fits = False
-    if not fits:
-        _log.info("%s: damaged, or for other options or data; automatic settings are chosen again", path)
-        return None
-    chosen, start = copy.deepcopy(dict(settings)), None
-    for option, value in stored["options"].items():
-        put(chosen, option, value)
-    if stored["labels"] is not None:
-        start = PilotResult(labels=stored["labels"], loss=stored["loss"], **{"states": None, **arrays})
-    doubts = (Doubt(text, tuple(Repair(*repair) for repair in repairs)) for text, repairs in stored["doubts"])
-    section = {name: chosen["bench"][name] for name in _OF_THE_BENCH if name in chosen["bench"]}
-    choices = tuple(Choice(*choice) for choice in stored["choices"])
-    return Settled(chosen, remake(bench, **section), choices, start, tuple(doubts))
-
-
-def _identify(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel) -> str:
-    """Return the SHA-256 of everything that the automatic settings depend on."""
-    state = {name: value.numpy() for name, value in model.state_dict().items()}
-    facts = {
-        "version": __version__,
-        "settings": {name: value for name, value in settings.items() if name not in _INDIFFERENT},
-        "data": describe_data(dataset),
-        "bench": [bench.template(), bench.initial_values() and digest(bench.initial_values())],
-        "model": digest(state),
-    }
-    return hashlib.sha256(json.dumps(to_json(facts), sort_keys=True).encode()).hexdigest()
+def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float) -> tuple[Bench, Mapping[str, Any]]:
+    """Make the timestep divide the sample interval [s] if none was set; an open one stays `auto` in the settings."""
+    timestep, steps = settings["bench"].get("timestep"), interval / bench.timestep
+    if timestep not in (None, AUTO) or bench.fits(interval):
+        return bench, settings
+    step = interval / math.ceil(steps)
+    _log.info("%s: steps of %g s, not %g s: samples are %g s apart", bench.source, step, bench.timestep, interval)
+    if timestep is None:
+        settings = {**settings, "bench": {**settings["bench"], "timestep": step}}
+    return remake(bench, timestep=step), settings
 
 
 def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
