@@ -79,9 +79,7 @@ def test_the_derivatives_are_those_of_the_loss(options: dict[str, Any]) -> None:
 def test_a_fit_that_never_starts_says_so(tmp_path: Path) -> None:
     problem = pose("mujoco_default")
     spoil(problem.objective)
-    with pytest.raises(
-        FitError, match="diverged at iteration 0: the loss or its gradient is not finite at the init"
-    ) as error:
+    with pytest.raises(FitError, match="diverged at iteration 0") as error:
         run(problem, LM, tmp_path)
     assert "learning_rate" not in str(error.value)
 
@@ -121,7 +119,7 @@ def test_chunks_change_no_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize("missed", [0.0, 0.05, 0.2, 0.9, 1.0, 1.1, -1.05, 3.0])
 def test_an_error_within_an_encoder_step_bends_its_square(missed: float) -> None:
     """Half an error's square has the slope's square, times `bend`, as its second derivative."""
-    loss = Loss(1.0, 1.0, "none", 1.0, False, 0.0, 2.0, False, False, 0.0)
+    loss = Loss(encoder_step=2.0)
     slope = jax.grad(loss.unexplained)(missed)
     curvature = jax.grad(jax.grad(lambda error: loss.unexplained(error) ** 2 / 2))(missed)
     width = jnp.asarray(soft_width(2.0))
@@ -197,7 +195,7 @@ def test_refined_starts_take_the_bias_of_noisy_ones_away(tmp_path: Path) -> None
 
 def test_what_rounding_explains_left_out_values_are_far_closer() -> None:
     """Of swings that are sampled more often than the encoder steps, so that rounding errors follow each other."""
-    loss, time = Loss(1.0, 0.0, "none", 1.0, False, 0.0, 0.1, False, False, 0.0), np.linspace(0, 20, 4000)
+    loss, time = Loss(1.0, 0.0, encoder_step=0.1), np.linspace(0, 20, 4000)
 
     def swing(values: np.ndarray) -> np.ndarray:
         return values[0] * np.sin(time + values[1])

@@ -184,7 +184,7 @@ def test_an_arm_is_found_again_by_short_segments_that_hold_together(bench: Bench
 
 
 def test_a_joint_that_stands_still_is_not_all_that_counts() -> None:
-    loss = Loss(4.0, 1.0, "none", 1.0, False, 0.0, 0.0, True, False, 0.0)
+    loss = Loss(4.0, 1.0, by_joint=True)
     np.testing.assert_allclose(loss.roots, [[2.0, 1.0]])
     weighed = loss.over(np.array([[0.25, 1.0], [0.0, 0.0]]))
     np.testing.assert_allclose(weighed.roots, [[4.0, 1.0], [4e4, 1e4]])

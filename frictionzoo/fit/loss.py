@@ -30,9 +30,22 @@ _LEAST = 1e-8  # least mean square, as a share of the largest joint's; a joint a
 
 @dataclass(frozen=True)
 class Loss:
-    """Weighting of errors; `Objective` documents the other arguments.
+    """Weighting of errors.
 
     Attributes:
+        position: Weight of squared position errors [1/rad^2 or 1/m^2].
+        velocity: Weight of squared velocity errors [s^2/rad^2 or s^2/m^2].
+        robust: Robust loss by scipy's name: `none`, `huber`, `soft_l1` or `cauchy`.
+        robust_scale: Weighted residual above which the robust loss grows slower than the square.
+        refine: Whether to estimate each segment's initial state from all its samples (multiple shooting); otherwise the
+            measured state is used.
+        continuity: Weight of the defect between a segment's end and the next initial state in the same recording,
+            relative to the other weights; 0 for independent segments. Short segments then act as one long rollout that
+            cannot diverge.
+        encoder_step: Resolution of the position encoder [rad or m]: errors count beyond half of it; 0 for none.
+        by_joint: Whether `balanced` weights the joints.
+        impulse: Whether to turn velocity errors into the impulse that each joint lacked in each sample interval.
+        slow: Share of a joint's root mean square speed; slower intervals do not count in the impulse.
         size: Root mean square of each joint's position and velocity errors, by which errors are divided; None for 1 in
             SI units.
 
@@ -40,16 +53,16 @@ class Loss:
         ConfigError: A weight is negative, or both are 0; the robust loss is unknown; options cannot be combined.
     """
 
-    position: float
-    velocity: float
-    robust: str
-    robust_scale: float
-    refine: bool
-    continuity: float
-    encoder_step: float
-    by_joint: bool
-    impulse: bool
-    slow: float
+    position: float = 1.0
+    velocity: float = 1.0
+    robust: str = "none"
+    robust_scale: float = 1.0
+    refine: bool = False
+    continuity: float = 0.0
+    encoder_step: float = 0.0
+    by_joint: bool = False
+    impulse: bool = False
+    slow: float = 0.0
     size: Float[np.ndarray, "nv 2"] | None = None
 
     def __post_init__(self) -> None:

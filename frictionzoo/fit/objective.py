@@ -44,44 +44,16 @@ class Objective:
         recordings: Recordings that the segments were cut from; None where the segments follow another drive.
 
     Args:
-        position: Weight of squared position errors [1/rad^2 or 1/m^2].
-        velocity: Weight of squared velocity errors [s^2/rad^2 or s^2/m^2].
-        robust: Robust loss by scipy's name: `none`, `huber`, `soft_l1` or `cauchy`.
-        robust_scale: Weighted residual above which the robust loss grows slower than the square.
-        refine: Whether to estimate each segment's initial state from all its samples (multiple shooting); otherwise the
-            measured state is used.
-        continuity: Weight of the defect between a segment's end and the next initial state in the same recording,
-            relative to the other weights; 0 for independent segments. Short segments then act as one long rollout that
-            cannot diverge.
-        encoder_step: Resolution of the position encoder [rad or m]: errors count beyond half of it; 0 for none.
-        by_joint: Whether `balanced` weights the joints.
-        impulse: Whether to turn velocity errors into the impulse that each joint lacked in each sample interval.
-        slow: Share of a joint's root mean square speed; slower intervals do not count in the impulse.
+        loss: Arguments of `Loss`.
 
     Raises:
-        ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined; the model
-            exists only in torch and `refine` or `impulse` is set; `continuity` is set but no segment follows another,
-            or without `refine`.
+        ConfigError: The options of the loss are invalid; the model exists only in torch and `refine` or `impulse` is
+            set; `continuity` is set but no segment follows another.
     """
 
-    def __init__(
-        self,
-        space: Space,
-        rollout: Rollout,
-        segments: Segments,
-        position: float = 1.0,
-        velocity: float = 1.0,
-        robust: str = "none",
-        robust_scale: float = 1.0,
-        refine: bool = False,
-        continuity: float = 0.0,
-        encoder_step: float = 0.0,
-        by_joint: bool = False,
-        impulse: bool = False,
-        slow: float = 0.0,
-    ) -> None:
-        settings = position, velocity, robust, robust_scale, refine, continuity, encoder_step, by_joint, impulse, slow
-        self._loss = Loss(*settings)
+    def __init__(self, space: Space, rollout: Rollout, segments: Segments, *loss: Any, **options: Any) -> None:
+        self._loss = Loss(*loss, **options)
+        refine, continuity = self._loss.refine, self._loss.continuity
         for option, reason in (("refine", "with no forward mode"), ("impulse", "where the loss has no armature")):
             if isinstance(rollout, TorchRollout) and getattr(self._loss, option):
                 raise ConfigError(
@@ -97,8 +69,8 @@ class Objective:
         self.interval: float = segments.timestep
         stretch = divide(segments)
         self.stretches: int = int(stretch[-1]) + 1
-        counts = is_moving(segments, slow) if slow else None
-        inertia = rigid_inertia_of(space.bench, segments) if impulse else None
+        counts = is_moving(segments, self._loss.slow) if self._loss.slow else None
+        inertia = rigid_inertia_of(space.bench, segments) if self._loss.impulse else None
         self.data: Blocks = into_blocks(segments, stretch, space.start.dtype, rollout, counts, inertia)
         self.devices: int = len(self.data.weight.sharding.device_set)
         self._rollout = rollout
