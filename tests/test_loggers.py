@@ -313,17 +313,15 @@ def test_every_logger_of_the_configuration_is_tested() -> None:
 
 
 @pytest.mark.parametrize(
-    ("section", "lost"),
-    [
-        ({"_target_": "frictionzoo.fit.loggers.Wandb", "project": "friction"}, "wandb"),
-        ({"_target_": "frictionzoo.fit.loggers.Mlflow", "experiment": "friction"}, "mlflow"),
-        ({"_target_": "frictionzoo.fit.loggers.Mlflow", "experiment": "friction"}, "sqlalchemy"),
-    ],
+    ("name", "option", "lost"),
+    [("Wandb", "project", "wandb"), ("Mlflow", "experiment", "mlflow"), ("Mlflow", "experiment", "sqlalchemy")],
 )
-def test_a_missing_package_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, section: dict, lost: str) -> None:
+def test_a_missing_package_is_told_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, name: str, option: str, lost: str
+) -> None:
+    section = {"_target_": f"frictionzoo.fit.loggers.{name}", option: "friction"}
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == lost else name)
-    extra = section["_target_"].rpartition(".")[2].lower()
-    with pytest.raises(ConfigError, match=rf'logger={extra}: {lost} not found, .*"frictionzoo\[{extra}\]"'):
+    with pytest.raises(ConfigError, match=rf"^logger={name.lower()}: {lost} "):
         build(section)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
     assert isinstance(build(section), RunLogger)

@@ -298,16 +298,15 @@ def test_gradient_of_a_rollout_equals_central_differences(
     assert min(map(abs, slope.values())) > 1e-6
 
 
-def test_a_law_whose_memory_does_not_settle_is_refused(build: Callable[[str], FrictionModel]) -> None:
+def test_a_law_whose_memory_does_not_settle_is_refused(
+    build: Callable[[str], FrictionModel], make: Callable[..., Any]
+) -> None:
+    with pytest.raises(ConfigError, match="elements=0"):
+        make("model", "model=maxwell_slip", "bench=emps", "model.elements=0", nv=1)
     law = copy.copy(build("dahl"))
     law.settle = lambda xp, values, state: (0.1 * xp.tanh(state.qvel))[..., None]  # pyright: ignore
     with pytest.raises(ModelError, match="dahl: memory: settled in motion it still changes"):
         check_model(law)
-
-
-def test_there_is_an_element(make: Callable[..., Any]) -> None:
-    with pytest.raises(ConfigError, match="elements=0: expected 1 to 1000"):
-        make("model", "model=maxwell_slip", "bench=emps", "model.elements=0", nv=1)
 
 
 def recover(bench: Bench, law: FrictionModel, hidden: Mapping[str, float], ctrl: np.ndarray) -> dict[str, float]:

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from conftest import BRIEF
 
 import frictionzoo as fz
 from frictionzoo.core.errors import ConfigError, FitError, RunError
@@ -118,44 +117,37 @@ def test_what_cannot_be_sampled_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
         return 1 + x @ x
 
     unit = known(np.eye(2), [0, 0])
-    with pytest.raises(FitError, match=r"^the fit ended 7\.1 standard deviations from its minimum, .* method lm"):
+    with pytest.raises(FitError, match=r"^the fit ended 7\.1 standard deviations"):
         draw_posterior(fit_to(loss, [5.0, 5.0]), unit, 10, 0)
-    with pytest.raises(FitError, match="covariance of 2 coordinates has no inverse, expected more stretches"):
+    with pytest.raises(FitError, match="covariance of 2 coordinates"):
         draw_posterior(fit_to(loss, [0.0, 0.0]), known(np.ones((2, 2)), [0, 0]), 10, 0)
-    with pytest.raises(FitError, match="the objective has no minimum at the result"):
+    with pytest.raises(FitError, match="no minimum"):
         draw_posterior(fit_to(lambda x: 1 - x @ x, [0.0, 0.0]), unit, 10, 0)
     many = MOST_COORDINATES + 1
-    with pytest.raises(ConfigError, match=r"^21 numbers were identified, expected at most 20 for a posterior; draw"):
+    with pytest.raises(ConfigError, match=r"^21 numbers were identified"):
         draw_posterior(fit_to(loss, [0.0] * many), known(np.eye(many), np.zeros(many)), 10, 0)
-    with pytest.raises(ConfigError, match=r"^fit=inverse_dynamics: its loss is a torque error"):
+    with pytest.raises(ConfigError, match=r"^fit=inverse_dynamics"):
         draw_posterior(fit_to(loss, [0.0, 0.0], fit=InverseDynamics()), unit, 10, 0)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r'blackjax not found, .*pip install "frictionzoo\[posterior\]"$'):
+    with pytest.raises(ConfigError, match="blackjax"):
         draw_posterior(fit_to(loss, [0.0, 0.0]), unit, 10, 0)
 
 
-@pytest.mark.parametrize(("rhat", "effective"), [(1.2, 900.0), (np.nan, 900.0), (1.0, 40.0), (1.0, np.nan)])
-def test_chains_that_do_not_agree_are_refused(rhat: float, effective: float) -> None:
-    chains = Chains(np.zeros((1, 2)), {"a": 1.0, "b": rhat}, {"a": 900.0, "b": effective}, 3)
-    with pytest.raises(FitError, match=r"^posterior of 1000 draws: .*\(b\).*: the chains do not"):
-        refuse_disagreement(chains, 1000)
-
-
-def test_a_divergence_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_chains_that_do_not_agree_are_refused_and_a_divergence_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    for rhat, effective in ((1.2, 900.0), (np.nan, 900.0), (1.0, 40.0), (1.0, np.nan)):
+        chains = Chains(np.zeros((1, 2)), {"a": 1.0, "b": rhat}, {"a": 900.0, "b": effective}, 3)
+        with pytest.raises(FitError, match=r"^posterior of 1000 draws: .*\(b\)"):
+            refuse_disagreement(chains, 1000)
     refuse_disagreement(Chains(np.zeros((1, 1)), {"a": 1.0}, {"a": 900.0}, 3), 1000)
-    assert "3 divergences; draws near a divergence may be missing" in caplog.text
+    assert "3 divergences" in caplog.text
 
 
 def test_draws_of_a_drive_have_its_intervals(recording: Path) -> None:
     bench = fz.Bench("knee_rod.xml", actuator=fz.PositionPD(kp=20, kd=1))
-    brief = {name.partition(".")[2]: value for name, value in BRIEF.items()}
-    evaluation: Any = {name: [0.1] if name == "horizons" else float(value) for name, value in brief.items()}
-    evaluation |= {name: int(evaluation[name]) for name in ("rollouts", "places")}
-    logs, options = fz.read(recording), {"progress": False}
-    how: Any = {"recipe": "given", "segments": {"length": 20, "count": 40}, "evaluation": evaluation, "loop": options}
-    fit = fz.identify(
-        bench, "mujoco_default", logs, test=0.2, method="lm", dtype="float64", discretisation=False, **how
-    )
+    evaluation = {"horizons": [0.1], "rollouts": 1, "places": 1, "trajectory": 0.1, "window": 0.02}
+    how: Any = {"recipe": "given", "segments": {"length": 20, "count": 40}, "evaluation": evaluation}
+    how |= {"test": 0.2, "method": "lm", "dtype": "float64", "discretisation": False, "loop": {"progress": False}}
+    fit = fz.identify(bench, "mujoco_default", fz.read(recording), **how)
     found, fast = fit.posterior(1000), fit.sample(20_000)
     assert found.keys() == fast.keys() and len(found) > 1 and found.divergences == 0
     for name, draws in found.items():
@@ -173,7 +165,7 @@ def test_draws_of_a_drive_have_its_intervals(recording: Path) -> None:
 
 
 def test_a_run_that_was_read_back_has_none(finished_run: Callable[[str], Any]) -> None:
-    with pytest.raises(RunError, match=r"no training data, .*; identify again, or draw with sample$"):
+    with pytest.raises(RunError, match=r"no training data"):
         fz.load(finished_run("mujoco_default")[0]).posterior()
     with pytest.raises(RunError, match="a network's weights can replace its physical parameters"):
         fz.load(finished_run("neural_friction")[0]).posterior()

@@ -55,19 +55,24 @@ def law() -> fz.FrictionModel:
     return fz.law("coulomb_stribeck", params={n: {"init": value, "high": 2.0} for n, value in values.items()})
 
 
+def values_of(stand: fz.Bench, friction: fz.FrictionModel) -> dict[str, dict[str, np.ndarray]]:
+    """Initial values of a drive."""
+    own = {name: value.detach().double().numpy() for name, value in friction.state_dict().items()}
+    return {"bench": stand.initial_values(), "friction": own}
+
+
 def roll(stand: fz.Bench, ctrl: np.ndarray) -> np.ndarray:
     """Positions under a command."""
     friction = law()
     with jax.enable_x64(True):
         drive = Drive.assemble(stand, friction, "auto", stand.sampling(INTERVAL))
-        own = {name: value.detach().double().numpy() for name, value in friction.state_dict().items()}
-        values = {"bench": stand.initial_values(), "friction": own}
+        values = values_of(stand, friction)
         state = np.array([[START[0]]]), np.array([[START[1]]])
         qpos, _ = drive.rollout.compiled(values, *state, Signals(ctrl[None, :, None]))
         return np.asarray(qpos)[0, :, 0]
 
 
-def solve(ctrl: np.ndarray, delay: float = 0.0) -> np.ndarray:
+def solve(ctrl: np.ndarray) -> np.ndarray:
     """The same motion by Runge and Kutta, from the equation of motion alone."""
     whole = INERTIA + MASS * CENTRE**2 + ARMATURE
 
@@ -105,8 +110,7 @@ def test_a_simulator_gets_the_parameters_with_which_it_moves_as_the_drive(
 ) -> None:
     """In MuJoCo C, which knows nothing of second order: it begins at the measured state and is read as it is."""
     stand, truth, friction = bench(tmp_path, integrator, 1e-3), solve(COMMANDS), law()
-    own = {name: value.detach().double().numpy() for name, value in friction.state_dict().items()}
-    values = {"bench": stand.initial_values(), "friction": own}
+    values = values_of(stand, friction)
     simulated = build_simulated(stand, describe(stand), values, {"timestep": timestep})
     qpos = np.concatenate([[START[0]], truth])[None, :, None]
     segments = Segments(qpos, np.gradient(qpos, INTERVAL, axis=1), Signals(COMMANDS[None, :, None]), INTERVAL)
@@ -120,15 +124,15 @@ def test_a_simulator_gets_the_parameters_with_which_it_moves_as_the_drive(
 
 def test_a_drive_without_recordings_has_a_simulator_too(tmp_path: Path) -> None:
     stand, friction = bench(tmp_path, "Euler", 1e-3), fz.law("mujoco_default", params={"damping": {"init": 0.3}})
-    own = {name: value.detach().double().numpy() for name, value in friction.state_dict().items()}
-    values = {"bench": stand.initial_values(), "friction": own}
+    values, none = values_of(stand, friction), np.zeros((0, 3, 1))
     simulated = build_simulated(stand, describe(stand), values, {"timestep": 2e-3})
-    none = np.zeros((0, 3, 1))
     found = compensate(simulated, friction, values, Segments(none, none, Signals(none[:, :2]), INTERVAL))
     assert found["bench"]["armature"][0] == pytest.approx(ARMATURE + 1e-3 * (KD - OWN - 0.3))
+    with pytest.raises(ConfigError, match=r"bench\.integrator"):
+        remake(stand, integrator="RK5")
 
 
-@pytest.mark.parametrize("steps", [0.1, 0.4, 1.0, 1.05, 1.3, 1.7, 2.0, 4.6])
+@pytest.mark.parametrize("steps", [0.1, 1.0, 1.3, 4.6])
 def test_commands_are_as_late_under_rk4_as_they_should(steps: float) -> None:
     """A force that rises steadily, as it comes out of MuJoCo's actuator in RK4."""
     timestep = 2e-3
@@ -308,8 +312,3 @@ def test_exact_coulomb_friction_is_found(tmp_path: Path, exact: Any) -> None:
             export = found.export("mjcf", folder, timestep=timestep, integrator=integrator).export
             assert export is not None and export.differences[0].error is not None
             assert export.differences[0].error < 2 * own
-
-
-def test_an_integrator_that_is_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"bench\.integrator=RK5"):
-        remake(bench(tmp_path, "Euler", 1e-3), integrator="RK5")
