@@ -137,15 +137,17 @@ class Pilot:
         Rollout errors decide between both: with widely spaced samples, accelerations are unknown.
         """
         recordings = self._recordings._replace(bench=bench.observing(self._drive.model.inputs))
-        starts = [self.start]
+        starts = [PilotResult.begun(self.space.labels, self.start)]
         with contextlib.suppress(FrictionzooError):  # such as a recording that is too short
             space = Space(recordings.bench, self._drive.model, "float64")
             equation = TorqueEquation(space, recordings, Filtering(), held=True)
             vector = balance(equation).vector
             # Poorly determined parameters end at a bound, from which a search returns slowly.
             vector = np.where(space.at_bound(vector), space.start, vector)
-            starts.append(self.whole(PilotResult.begun(space.labels, vector)))
-        return PilotResult.begun(self.space.labels, min(starts, key=self._miss))
+            balanced = self.whole(PilotResult.begun(space.labels, vector))
+            starts.append(PilotResult.begun(self.space.labels, balanced))
+        # Errors from measured states; those of a diverged rollout are not numbers.
+        return min(starts, key=lambda start: float(np.nan_to_num(np.abs(self.residuals(start)).mean(), nan=np.inf)))
 
     def fit(
         self,
@@ -207,8 +209,9 @@ class Pilot:
         if self.objective.stretches > 1:  # intervals need a spread between segments
             equations = equations._replace(hessian=np.where(np.outer(moving, moving), equations.hessian, 0.0))
             intervals = assess(self.space, vector, equations, scores, _COLLINEAR).intervals
-            bounds = self.space.pick({name: intervals[name] for name in self.space.places})
-            half = np.array([self._half(label, np.asarray(bounds[label])) for label in self.space.labels])
+            for row, (label, ends) in enumerate(self.space.pick(intervals).items()):
+                low, high = self.space.params[label.partition("/")[0]].to_coordinate(np.asarray(ends), np)
+                half[row] = float(high - low) / 2
         return PilotResult(
             labels=[label for label, moves in zip(self.space.labels, moving, strict=True) if moves],
             vector=vector[moving],
@@ -284,18 +287,6 @@ class Pilot:
         time = np.arange(1, segments.length + 1) * segments.timestep
         growth = np.abs(disturbed_qpos - undisturbed) / (disturbed * time[:, None])
         return np.nan_to_num(np.median(growth.max(axis=2), axis=0), nan=np.inf)
-
-    def _miss(self, vector: Float[np.ndarray, "coordinates"]) -> float:
-        """Return the mean position error in segments from measured states; infinite if a rollout diverges."""
-        return float(
-            np.nan_to_num(np.abs(self.residuals(PilotResult.begun(self.space.labels, vector))).mean(), nan=np.inf)
-        )
-
-    def _half(self, label: str, ends: Float[np.ndarray, "2"]) -> float:
-        """Return half an interval's width in the optimiser's coordinate."""
-        param = self.space.params[label.partition("/")[0]]
-        low, high = param.to_coordinate(ends, np)
-        return float(high - low) / 2
 
 
 def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
