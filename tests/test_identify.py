@@ -17,7 +17,6 @@ import mujoco
 import nbformat
 import numpy as np
 import pytest
-from conftest import ROOT
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from nbclient import NotebookClient
 from omegaconf import OmegaConf
@@ -43,7 +42,6 @@ STAND = """<mujoco model="stand">
   </worldbody>
 </mujoco>
 """
-# What the documentation shows; a page that has it is read in its place.
 BLOCK = """\
 import frictionzoo as fz
 
@@ -66,76 +64,33 @@ qpos0, qvel0 = (torch.tensor(signal[:500:100]) for signal in (first.qpos, first.
 ctrl = torch.tensor(first.ctrl[:500].reshape(5, 100, 1))
 measured = torch.tensor(first.qpos[1:501].reshape(5, 100, 1))
 """
-OWN = """\
-@fz.register_model("mine")
-class Mine(fz.FrictionModel):
-    dimensions = {"coulomb_torque": "torque", "viscous_coefficient": "damping"}
-
-    def __init__(self, nv, params=None, sharpness=100.0):
-        self.sharpness = sharpness
-        one = {"init": 0.1, "low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
-        super().__init__(nv, {**dict.fromkeys(self.dimensions, one), **(params or {})})
-
-    def terms(self, xp, values, state):
-        dry = values["coulomb_torque"] * xp.tanh(self.sharpness * state.qvel)
-        return fz.FrictionTerms(dry + values["viscous_coefficient"] * state.qvel)
-
-start = {"init": 0.2, "low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
-evaluation = dict(horizons=[0.5], rollouts=2, places=2, trajectory=1.0)
-options = dict(test=0.2, recipe="given", method="lm", evaluation=evaluation)
-mine = fz.identify(bench, Mine(1, {"coulomb_torque": start}), logs, **options)
-named = fz.identify(bench, "mine", logs, **options)
-mine.save("mine")
-named.save("named")
-"""
 HOLDS = """\
 import numpy as np
 from frictionzoo.report.terminal import summarise
 
-def hold(drive, folder):
-    again = fz.load(folder)
-    assert f"files: {folder}\\n\\n" in repr(again) and "loaded in MuJoCo" in repr(again)
-    unwritten = summarise({**again.result, "written": []}, None)  # only a run in a folder has files that were played
-    assert unwritten == repr(drive), (unwritten, repr(drive))
-    assert "<table>" in drive._repr_html_()
-    assert {*again.parameters} == {*drive.parameters}
-    for name, parameter in drive.parameters.items():
-        for one, other in zip(parameter, again.parameters[name]):
-            np.testing.assert_array_equal(one, other)
-    assert again.metrics == drive.metrics
-    for one, other in zip(drive.rollout(), again.rollout()):
+again = fz.load("run")
+assert "files: run\\n\\n" in repr(again) and "loaded in MuJoCo" in repr(again)
+assert summarise({**again.result, "written": []}, None) == repr(fit)  # only a run in a folder has files
+assert {*again.parameters} == {*fit.parameters} and again.metrics == fit.metrics
+for name, parameter in fit.parameters.items():
+    for one, other in zip(parameter, again.parameters[name]):
         np.testing.assert_array_equal(one, other)
-
-for drive, folder in ((fit, "run"), (mine, "mine"), (named, "named")):
-    hold(drive, folder)
-assert type(fz.load("mine").model) is Mine and fz.load("mine").model.params["coulomb_torque"].init == 0.2
-assert fz.load("named").model.params["coulomb_torque"].init == 0.1
-for name, parameter in mine.parameters.items():
-    np.testing.assert_allclose(parameter.value, named.parameters[name].value, rtol=1e-2)
+for one, other in zip(fit.rollout(), again.rollout()):
+    np.testing.assert_array_equal(one, other)
 assert all(bool(p.grad.isfinite().all()) and p.grad.abs().max() > 0 for p in law.parameters())
 assert qpos.shape == measured.shape and fit.folder is None
 """
 
 
-def block() -> str:
-    """The page's code where a page has it."""
-    for page in (ROOT / "README.md", ROOT / "docs" / "python.md"):
-        for code in re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.M | re.S):
-            if 'fz.read("a.csv", "b.csv")' in code and "fz.rollout(bench, law, qpos0, qvel0, ctrl)" in code:
-                return code
-    return BLOCK
-
-
 def cells() -> list[str]:
     """The block and what it is given, line by line, a statement that takes several as one."""
-    code = block()
-    lines, found = code.splitlines(), []
-    for statement in ast.parse(code).body:
+    lines, found = BLOCK.splitlines(), []
+    for statement in ast.parse(BLOCK).body:
         text = "\n".join(lines[statement.lineno - 1 : statement.end_lineno])
         if text not in found:  # several statements stand in one line
             found.append(text)
     place = next(i for i, text in enumerate(found) if text.startswith("law ="))
-    return [*found[:place], GIVEN, *found[place:]]
+    return [*found[:place], GIVEN, *found[place:], HOLDS]
 
 
 def record(path: Path, pace: float, samples: int = 4100) -> None:
@@ -177,32 +132,6 @@ def names_in(folder: Path) -> set[str]:
     return {name for name in names if name.partition("/")[0] not in ("tensorboard", "checkpoints", ".hydra", MANIFEST)}
 
 
-def hold(folder: Path, run: Path) -> None:
-    """What the block leaves in its folder."""
-    result = json.loads((folder / "run" / "result.json").read_text())
-    values = {row["name"]: row["value"] for row in result["parameters"]}
-    assert values["armature"] == pytest.approx(ARMATURE, rel=0.01)
-    assert values["kinetic_torque"] == pytest.approx(0.15, rel=0.02)
-    assert names_in(folder / "run") == names_in(run)
-    same = (folder / "drive.xml").read_text() == (folder / "run" / "identified.xml").read_text()
-    assert same, "another drive than the run's own file holds"
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
-def test_the_block_runs_as_a_program(stand: Path, tmp_path: Path, start: Callable, finished_run: Callable) -> None:
-    """All but the comparison, which takes as long as all else and is in the notebook's."""
-    shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
-    lines = [text for text in cells() if not text.startswith("fz.compare(")]
-    assert len(lines) == len(cells()) - 1
-    (tmp_path / "program.py").write_text("\n".join([*lines, OWN, HOLDS]))
-    program = start(program=["program.py"])
-    out, err = program.communicate(timeout=900)
-    assert program.returncode == 0, err
-    assert not out, "an expression of a program prints nothing"
-    hold(tmp_path, finished_run("coulomb_stribeck")[0])
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:jupyter_core")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -225,7 +154,13 @@ def test_the_block_runs_in_a_notebook(
     played = r"<table><tr><th>loaded in MuJoCo.*?</table>\s*(?:<p>identified\.xml: [^<]*</p>)*\s*"
     loaded = re.sub(rf"<p>files: [^<]*</p>\s*|{played}", "", shown["fz.load"])  # of files, which only a folder has
     assert loaded != shown["fz.load"] and loaded == shown["fit"]
-    hold(tmp_path, finished_run("coulomb_stribeck")[0])
+    run = tmp_path / "run"
+    values = {row["name"]: row["value"] for row in json.loads((run / "result.json").read_text())["parameters"]}
+    assert values["armature"] == pytest.approx(ARMATURE, rel=0.01)
+    assert values["kinetic_torque"] == pytest.approx(0.15, rel=0.02)
+    assert names_in(run) == names_in(finished_run("coulomb_stribeck")[0])
+    same = (tmp_path / "drive.xml").read_text() == (run / "identified.xml").read_text()
+    assert same, "another drive than the run's own file holds"
 
 
 EVALUATION = {"horizons": [0.1], "rollouts": 1, "places": 1, "trajectory": 0.1, "window": 0.02}  # those of `tiny`

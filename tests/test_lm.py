@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.optimize
 from conftest import spoil
 from scipy.optimize._lsq.least_squares import IMPLEMENTED_LOSSES
 from test_fit import TRUTH, bowl, identified, pose, record, run, x64  # noqa: F401 - x64 is a fixture for all tests
@@ -191,23 +190,6 @@ def test_refined_starts_take_the_bias_of_noisy_ones_away(tmp_path: Path) -> None
     )
     errors = {name: (abs(plain[name] / value - 1), abs(refined[name] / value - 1)) for name, value in TRUTH.items()}
     assert sum(after for _, after in errors.values()) < 0.5 * sum(before for before, _ in errors.values())
-
-
-def test_what_rounding_explains_left_out_values_are_far_closer() -> None:
-    """Of swings that are sampled more often than the encoder steps, so that rounding errors follow each other."""
-    loss, time = Loss(1.0, 0.0, encoder_step=0.1), np.linspace(0, 20, 4000)
-
-    def swing(values: np.ndarray) -> np.ndarray:
-        return values[0] * np.sin(time + values[1])
-
-    def off(truth: np.ndarray, count: Callable[[Any], Any]) -> np.ndarray:
-        measured = 0.1 * np.round(swing(truth) / 0.1)
-        found = scipy.optimize.least_squares(lambda values: count(jnp.asarray(swing(values) - measured)), truth + 0.01)
-        return found.x - truth
-
-    truths = np.random.default_rng(0).uniform([0.5, 0.0], [1.0, 1.0], (20, 2))
-    plain, counted = ([off(truth, count) for truth in truths] for count in (lambda errors: errors, loss.unexplained))
-    assert np.std(counted) < 0.3 * np.std(plain)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ import pytest
 import torch
 import yaml
 from conftest import RUNS, Finished, slow_but
-from matplotlib.image import imread, imsave
+from matplotlib.image import imread
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
@@ -272,23 +272,6 @@ def test_an_interrupted_and_resumed_run_is_recorded_once(
         refused = call(f"resume={run}")
         assert refused.status == 2 and f"add logger={logger}" in refused.err
     check(run, call(f"resume={run}", f"logger={logger}"), logger)
-
-
-@pytest.mark.parametrize("logger", [TensorBoard(), Csv()], ids=["tensorboard", "csv"])
-def test_a_record_begins_anew(tmp_path: Path, logger: RunLogger) -> None:
-    (tmp_path / "figures").mkdir()
-    imsave(tmp_path / "figures" / "one.png", np.zeros((2, 3, 3)))
-    for steps in (4, 2):
-        record = logger.start(tmp_path, {"model": "lugre", "list": [1, 2], "steps": steps})
-        for step in range(steps):
-            record.log_metrics({"loss": 1.0 + step}, step)
-        if steps == 4:
-            record.finalize("failed")  # its process is gone
-    logger.finish(2, {"fit/loss": 0.5}, [tmp_path / "figures" / "one.png"], "all | of it")
-    record = READERS[type(logger).__name__.lower()](tmp_path)
-    assert record.scalars == {"loss": {0: 1.0, 1: 2.0}, "fit/loss": {2: 0.5}}
-    assert (record.hyperparameters["model"], float(record.hyperparameters["steps"])) == ("lugre", 2)
-    assert record.figures == {"one": (2, 3)} and "all | of it" in record.text and record.ended
 
 
 @pytest.mark.parametrize("logger", [TensorBoard(), Csv()], ids=["tensorboard", "csv"])

@@ -29,9 +29,6 @@ from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Problem, recipe
 from frictionzoo.report import run_plots
 
-ITERATIONS = 40
-PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure
-
 
 def iterations_saved(folder: Path) -> int:
     """Iterations in the folder's checkpoint; 0 without one. A checkpoint is there whole or not at all."""
@@ -43,17 +40,6 @@ def steps_on_tensorboard(folder: Path) -> list[int]:
     events = EventAccumulator(str(folder / "tensorboard"), size_guidance={"scalars": 0})
     events.Reload()
     return [scalar.step for scalar in events.Scalars("loss")]
-
-
-def kill_halfway(process: Any, folder: Path) -> None:
-    """SIGKILL, which no process can answer, as soon as the folder shows a fit on its way."""
-    deadline = time.monotonic() + PATIENCE
-    while iterations_saved(folder) < 10:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
 
 
 def assert_same(run: Path, other: Path) -> None:
@@ -69,23 +55,6 @@ def assert_same(run: Path, other: Path) -> None:
     for section in ("progress", "history"):
         assert len(first[section]) == len(second[section])
         assert all(torch.equal(one, two) for one, two in zip(first[section], second[section], strict=True))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
-def test_killed_and_resumed_is_as_if_nothing_had_happened(
-    start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path
-) -> None:
-    options = (*tiny, "model=coulomb_smooth", f"fit.iterations={ITERATIONS}", "dtype=float32")
-    kill_halfway(start(*options, "hydra.run.dir=killed"), tmp_path / "killed")
-    assert iterations_saved(tmp_path / "killed") < ITERATIONS and not (tmp_path / "killed" / "result.json").exists()
-    resumed = call("resume=killed")
-    assert resumed.status == 0, resumed.err
-    assert str(tmp_path / "killed") in resumed.out
-    assert "resuming from" in resumed.err and len(resumed.err.splitlines()) == 3
-    assert call(*options, "hydra.run.dir=whole").status == 0
-    assert_same(tmp_path / "killed", tmp_path / "whole")
-    assert steps_on_tensorboard(tmp_path / "killed") == list(range(ITERATIONS))
 
 
 @pytest.mark.slow
