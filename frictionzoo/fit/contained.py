@@ -100,8 +100,14 @@ class Part:
             elif not callable(rule):  # fixed at a number, or at its start if it has no effect
                 base[own] = base[own] if isinstance(rule, str) else [self._bounded(row, rule) for row in own.tolist()]
             used[own] = not callable(rule)
-        if not (self._knows(within) and all(map(self._are_alike, groups.values()))):
-            return None
+        for name, value in self.known.items():  # has to be the nested model's value
+            rule = within.get(name, name)
+            if not callable(rule) and not (rule == name if isinstance(rule, str) else (value == rule).all()):
+                return None
+        for alike in groups.values():  # coordinates to merge are equal in number and have the same scale
+            scales = {self._param(index).scale for indices in alike for index in indices.tolist()}
+            if not len({len(indices) for indices in alike}) == len(scales) == 1:
+                return None
         columns = [[row] for row in np.flatnonzero(~used)]
         places = {}
         for name, alike in groups.items():
@@ -112,19 +118,6 @@ class Part:
             narrow[merged, row], base[merged] = 1.0, 0.0
         known = {name: value for name, value in self.known.items() if name in law.dimensions}
         return Part(law, self.space, self.whole(base), self.spread @ narrow, places, known)
-
-    def _knows(self, within: Within) -> bool:
-        """Return whether the known values equal those of the nested model."""
-        rules = [(value, within.get(name, name), name) for name, value in self.known.items()]
-        return all(
-            callable(rule) or (rule == name if isinstance(rule, str) else bool((value == rule).all()))
-            for value, rule, name in rules
-        )
-
-    def _are_alike(self, alike: list[np.ndarray]) -> bool:
-        """Return whether coordinates to merge are equal in number and have the same scale."""
-        scales = {self._param(index).scale for indices in alike for index in indices.tolist()}
-        return len({len(indices) for indices in alike}) == len(scales) == 1
 
     def _param(self, own: int) -> Param:
         row = int(np.argmax(self.spread[:, own]))

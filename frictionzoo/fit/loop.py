@@ -21,7 +21,6 @@ from tqdm import tqdm
 from frictionzoo.core.errors import CheckpointError, ConfigError, OutputError, refuse_outside
 from frictionzoo.core.output import claim, write_atomically
 from frictionzoo.fit.base import Fit
-from frictionzoo.fit.chunk import Trace
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.module import FitModule, Outcome
 from frictionzoo.fit.objective import Objective
@@ -118,7 +117,12 @@ class _ProgressBar(pl.Callback):
         self._bar.update(pl_module.iteration - self._bar.n)
         trace = pl_module.history[-1]
         if len(trace.loss) and not self._bar.disable:
-            self._bar.set_postfix_str(_say_last(trace, (self._bar.ncols or 80) - BESIDE))
+            values = (
+                f"{name.partition('.')[2]}={' '.join(f'{v:.4g}' for v in rows[-1])}"
+                for name, rows in trace.params.items()
+            )
+            text = ", ".join([f"loss={trace.loss[-1]:.3e}", *values])
+            self._bar.set_postfix_str(text[: (self._bar.ncols or 80) - BESIDE])
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         self._close()
@@ -129,16 +133,6 @@ class _ProgressBar(pl.Callback):
     def _close(self) -> None:
         if self._bar is not None:
             self._bar.close()
-
-
-def _say_last(trace: Trace, room: int) -> str:
-    text = f"loss={trace.loss[-1]:.3e}"
-    for name, rows in trace.params.items():
-        entry = f", {name.partition('.')[2]}={' '.join(f'{v:.4g}' for v in rows[-1])}"
-        if len(text + entry) > room:
-            break
-        text += entry
-    return text
 
 
 def _train(module: FitModule, record: Record | None, checkpoint: Path | None, progress: bool) -> None:

@@ -35,7 +35,7 @@ from frictionzoo.result.portrait import DRAWS, Rows, portray, sample_friction
 from frictionzoo.result.record import Findings, build_result
 from frictionzoo.result.residual_torque import Left, find_left
 from frictionzoo.result.residuals import describe_residual
-from frictionzoo.result.section_types import FitRow, TimingRow
+from frictionzoo.result.section_types import FitRow
 from frictionzoo.result.torque import choose_filtering, measure_torque
 from frictionzoo.result.types import Result
 from frictionzoo.simulation import Values
@@ -68,7 +68,11 @@ def solve(
     """
     began, refine = time.perf_counter(), finer(problem)
     tell("")  # the fit shows its progress itself
-    _log_engine(problem)
+    engine, segments, note = problem.drive.engine, problem.segments, problem.drive.engine.note
+    _log.info("engine %s, matches MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note and f": {note}")
+    if problem.objective.devices > 1:
+        _log.info("segments run on %d devices", problem.objective.devices)
+    _log.info("%s: training on %d segments of %d steps", problem.dataset.name, segments.count, segments.length)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
     if problem.settings["loop"].get("progress", True):
@@ -94,7 +98,14 @@ def solve(
         **sections,
         links=problem.links,
         fit=_describe_fit(problem.objective.space, outcome, uncertainty),
-        timing=_describe_timing(problem, outcome, began, intervals_began, evaluation_began),
+        timing={
+            "setup": problem.seconds,
+            "compile": outcome.compile_seconds,
+            "fit": outcome.fit_seconds,
+            "uncertainty": evaluation_began - intervals_began,
+            "evaluate": (ended := time.perf_counter()) - evaluation_began,
+            "total": problem.seconds + ended - began,
+        },
         settings=problem.settings,
         engine=problem.drive.engine.name,
         proof=problem.proof,
@@ -203,15 +214,6 @@ def _portray(problem: Problem, result: Result, left: Left | None) -> dict[str, A
     return {"portraits": portray(model, draws or {}, left.rows), "left_time": left.time, "left": torque}
 
 
-def _log_engine(problem: Problem) -> None:
-    engine, segments = problem.drive.engine, problem.segments
-    note = f": {engine.note}" if engine.note else ""
-    _log.info("engine %s, matches MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note)
-    if problem.objective.devices > 1:
-        _log.info("segments run on %d devices", problem.objective.devices)
-    _log.info("%s: training on %d segments of %d steps", problem.dataset.name, segments.count, segments.length)
-
-
 def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, baseline: Judgement) -> Curves:
     measured, local = problem.evaluation.trajectories, problem.evaluation.local
     velocity, friction, low, high = sample_friction(problem.drive.model, problem.samples)
@@ -291,16 +293,3 @@ def still_falling(loss: Float[np.ndarray, "iterations"]) -> float:
     finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
     before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
     return max(0.0, 1 - float(finite.min() / before)) if np.isfinite(before) and before > 0 else 0.0
-
-
-def _describe_timing(problem: Problem, outcome: Outcome, began: float, asked: float, judged: float) -> TimingRow:
-    """Return seconds of each part of `solve`; intervals began at `asked`, the evaluation at `judged` [s]."""
-    ended = time.perf_counter()
-    return {
-        "setup": problem.seconds,
-        "compile": outcome.compile_seconds,
-        "fit": outcome.fit_seconds,
-        "uncertainty": judged - asked,
-        "evaluate": ended - judged,
-        "total": problem.seconds + ended - began,
-    }

@@ -11,7 +11,7 @@ from frictionzoo.core.telling import tell
 from frictionzoo.diagnostics.findings import Doubt
 from frictionzoo.fit.loss import soft_width
 from frictionzoo.identification.choices import OPTIONAL, RIVALS, imply
-from frictionzoo.identification.noise import Misfit, Noise
+from frictionzoo.identification.noise import Misfit
 from frictionzoo.identification.pilot import Pilot, PilotResult, halve_step
 from frictionzoo.identification.trials import COARSEST, FEWEST, MOST_STEPS, Trials, put
 
@@ -64,20 +64,19 @@ class Stages(Trials):
         noise, several = self._noise, self._bench.nv > 1
         position = " ".join(f"{value:.2g}" for value in noise.position)
         self._choose("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
+        velocity, weight = noise.velocity, noise.velocity_weight if self._small else 1.0
         if not self._small:
-            self._choose("loss.velocity", 1.0, "this fit starts at measured states, noise included")
+            reason = "this fit starts at measured states, noise included"
+        elif velocity is None:
+            reason = "velocities were estimated from positions and add almost no information"
         else:
-            self._choose("loss.velocity", noise.velocity_weight, self._say_velocity(noise))
+            measured = " ".join(f"{value:.2g}" for value in velocity)
+            reason = f"noise of the measured velocity: {measured} {self._unit}/s"
+        self._choose("loss.velocity", weight, reason)
         reason = "each joint's errors are divided by their RMS at the start" if several else "one joint"
         self._choose("loss.by_joint", several, reason)
         if not self._small:
             self._choose("loss.refine", False, "initial states are estimated only with few parameters")
-
-    def _say_velocity(self, noise: Noise) -> str:
-        if noise.velocity is None:
-            return "velocities were estimated from positions and add almost no information"
-        measured = " ".join(f"{value:.2g}" for value in noise.velocity)
-        return f"noise of the measured velocity: {measured} {self._unit}/s"
 
     @property
     def _unit(self) -> str:

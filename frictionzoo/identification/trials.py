@@ -49,7 +49,7 @@ class Trials:
         self.start: PilotResult | None = None
         self.pilot: Pilot | None = None  # with the chosen settings
         self._given: dict[str, Any] = copy.deepcopy(dict(settings))
-        self._plain, self._train, self._model, self._fit = bench, dataset.train, model, fit
+        self._plain, self._train, self._model = bench, dataset.train, model
         self._free = [name for name in OPTIONAL if is_open(settings["bench"]["params"], name)]
         self._interval = dataset.train[0].timestep
         self._step_is_open = self._is_open("bench.timestep")
@@ -64,7 +64,10 @@ class Trials:
             self._change(solreffriction=list(stiff))
         self._bench = self.bench(OPTIONAL)
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
-        self._small = self._is_small()
+        coordinates = len(Space(self._bench, model, "float64").start)
+        is_few = 0 < coordinates <= MOST_COORDINATES and not isinstance(model, TorchFriction)
+        # Whether pilots represent the fit: Levenberg-Marquardt with few parameters.
+        self._small = isinstance(fit, Auto | LevenbergMarquardt) and is_few
         self._pilots: dict[str, Pilot] = {}  # by their settings
         self._found: PilotResult  # result of the last pilot
         self._last: Pilot | None = None  # the last pilot
@@ -76,12 +79,6 @@ class Trials:
         self._lacking = False  # whether the residual exceeds noise
         self._rounded = False  # whether encoder rounding explains the residual
         self._validated: dict[str, float] = {}  # errors on the validation block, by the pilot's settings
-
-    def _is_small(self) -> bool:
-        """Return whether pilots represent the fit: Levenberg-Marquardt with few parameters."""
-        coordinates = len(Space(self._bench, self._model, "float64").start)
-        has_few = 0 < coordinates <= MOST_COORDINATES and not isinstance(self._model, TorchFriction)
-        return isinstance(self._fit, Auto | LevenbergMarquardt) and has_few
 
     def bench(self, free: Collection[str] = ()) -> Bench:
         """Return the test stand with the choices so far; `free`: only these open optional parameters are identified."""
