@@ -15,10 +15,9 @@ import random
 import shutil
 import sys
 import tempfile
-import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -81,14 +80,8 @@ class Watch:
             if set(mode or "") & set("wax+") or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC):
                 return self._outside(event, path)
         if event in WRITES:
-            places = (
-                arguments[:2]
-                if event in ("os.rename", "os.link")
-                else arguments[1:2]
-                if "link" in event
-                else arguments[:1]
-            )
-            return next((wrong for place in places if (wrong := self._outside(event, place))), None)
+            first, last = (0, 2) if event in ("os.rename", "os.link") else (1, 2) if "link" in event else (0, 1)
+            return next((wrong for place in arguments[first:last] if (wrong := self._outside(event, place))), None)
         return None
 
     def _is_foreign(self, arguments: tuple[Any, ...]) -> bool:
@@ -107,176 +100,75 @@ class Watch:
         return None if any(real == each or real.startswith(each + os.sep) for each in inside) else f"{event} {real}"
 
 
-TARGETS = (
-    *(
-        "os.system",
-        "subprocess.Popen",
-        "builtins.exec",
-        "frictionzoo.design.__main__.X",
-        "frictionzoo.cli.commands.main",
-    ),
-    *(
-        "stranger.Law",
-        "run.stranger.Law",
-        "frictionzoo.data.files.Files",
-        "frictionzoo.fit.loggers.Wandb",
-        "torch.load",
-    ),
-    *(
-        "frictionzoo.fit.loggers.Mlflow",
-        "hydra.utils.instantiate",
-        "frictionzoo.core.build.build",
-        "x",
-        "",
-        "..",
-        None,
-        3,
-    ),
-    *(
-        "frictionzoo.models.Stribeck",
-        "frictionzoo.models.ByJoint",
-        "frictionzoo.fit.Several",
-        "frictionzoo.bench.Robot",
-    ),
-)
-TEXTS = (
-    *(
-        "../evil",
-        "/etc/passwd",
-        "${oc.env:HOME}",
-        "${oc.create:{_target_:os.system}}",
-        "???",
-        "",
-        "a" * 10_000,
-        "\x1b[31m",
-    ),
-    *(
-        "\x1b]0;title\x07",
-        "\u202egpj.exe",
-        "a\nb",
-        "x\x00y",
-        "$\\frac{1}$",
-        "{{7*7}}",
-        "</script>",
-        '"; import os',
-        "\ud800",
-    ),
-    *(
-        "hub:a/b",
-        "http://127.0.0.1:9/x",
-        "sqlite:////etc/x.db",
-        "user",
-        "auto",
-        "inf",
-        "1e999",
-        "%s%n",
-        "~",
-        "*",
-        "[",
-        "(",
-    ),
-)
+NAMES = """os.system subprocess.Popen builtins.exec torch.load hydra.utils.instantiate stranger.Law run.stranger.Law x
+.. frictionzoo.design.__main__.X frictionzoo.cli.commands.main frictionzoo.core.build.build
+frictionzoo.data.files.Files frictionzoo.fit.loggers.Wandb frictionzoo.fit.loggers.Mlflow frictionzoo.bench.Robot
+frictionzoo.models.Stribeck frictionzoo.models.ByJoint frictionzoo.fit.Several"""
+TARGETS = (*NAMES.split(), "", None, 3)
+WORDS = """../evil /etc/passwd ${oc.env:HOME} ${oc.create:{_target_:os.system}} ??? \x1b[31m \x1b]0;title\x07 x\x00y
+%s%n ~ * [ ( $\\frac{1}$ \u202egpj.exe {{7*7}} </script> hub:a/b http://127.0.0.1:9/x sqlite:////etc/x.db user auto
+inf 1e999"""
+TEXTS = (*WORDS.split(), "", "a" * 10_000, "a\nb", '"; import os', "\ud800")
 VALUES = (
-    *(
-        None,
-        True,
-        False,
-        0,
-        -1,
-        1,
-        10**9,
-        10**30,
-        -(2**63),
-        1e308,
-        1e-320,
-        -1.5,
-        [],
-        {},
-        [[]],
-        [None],
-        [1, "a"],
-        {"a": 1},
-    ),
+    *(None, True, False, 0, -1, 1, 10**9, 10**30, -(2**63), 1e308, 1e-320, -1.5),
+    *([], {}, [[]], [None], [1, "a"], {"a": 1}),
     *({"_target_": "os.system", "command": f"touch {MARK}"}, {"_target_": "frictionzoo.bench.Force"}, *TEXTS),
 )
-CHOICES = (
-    "../evil",
-    "evil",
-    "/tmp/evil",
-    "../../hydra/launcher/joblib",
-    "${oc.env:HOME}",
-    "knee.yaml",
-    "mlflow",
-    "wandb",
-    3,
-)
+CHOICES = ("../evil", "evil", "/tmp/evil", "../../hydra/launcher/joblib", "${oc.env:HOME}", "knee.yaml", "wandb", 3)
 DOCUMENTS = (
-    *(
-        "- model=../evil",
-        "- ++hydra.callbacks.x._target_=stranger.Law",
-        "- hydra/launcher=joblib",
-        "[",
-        "a: &a [*a]",
-        "3",
-    ),
+    *("- model=../evil", "- ++hydra.callbacks.x._target_=stranger.Law", "- hydra/launcher=joblib", "[", "3", "\x00"),
     *(f"!!python/object/apply:os.system ['touch {MARK}']", f"- !!python/object/apply:os.system ['touch {MARK}']"),
-    *("hydra: {runtime: {choices: {model: '\x1b[31m'}}}", "hydra: {callbacks: {x: {_target_: stranger.Law}}}", "\x00"),
+    *("hydra: {runtime: {choices: {model: '\x1b[31m'}}}", "hydra: {callbacks: {x: {_target_: stranger.Law}}}"),
+    "a: &a [*a]",
 )
 EVIL = "# @package _global_\nhydra: {callbacks: {x: {_target_: stranger.Law}}}\n"
 
 
+def _pick(folder: Path, rng: random.Random, pattern: str = "*.json") -> Path:
+    return rng.choice([path for path in folder.rglob(pattern) if path.is_file() and path.suffix != ".png"])
+
+
 def change_json(folder: Path, rng: random.Random) -> None:
     """Another value, one less or one more somewhere in one of the files of JSON."""
-    path = rng.choice([path for path in folder.rglob("*.json") if path.is_file()])
+    path = _pick(folder, rng)
     content = json.loads(path.read_text())
     for _ in range(rng.choice((1, 1, 1, 3))):
         node: Any = content
         if rng.random() < 0.4:
             node = content.get("settings") or content.get("result", {}).get("settings") or content
-        while True:
-            keys = [*(range(len(node)) if isinstance(node, list) else node)]
-            if not keys:
+        while node:
+            key = rng.choice([*(range(len(node)) if isinstance(node, list) else node)])
+            if not (isinstance(node[key], dict | list) and node[key] and rng.random() < 0.85):
+                _alter(node, key, rng)
                 break
-            key = rng.choice(keys)
-            if isinstance(node[key], dict | list) and node[key] and rng.random() < 0.85:
-                node = node[key]
-                continue
-            _alter(node, key, rng)
-            break
+            node = node[key]
     path.write_text(json.dumps(content))
 
 
 def _alter(node: Any, key: Any, rng: random.Random) -> None:
-    what = rng.random()
+    what, value = rng.random(), copy.deepcopy(rng.choice(VALUES))
     if key == "_target_":
         node[key] = rng.choice(TARGETS)
     elif what < 0.1:
         del node[key]
     elif what < 0.2 and isinstance(node, dict):
-        node[rng.choice(TEXTS)] = copy.deepcopy(rng.choice(VALUES))
-    elif what < 0.25:
-        node[key] = {"_target_": rng.choice(TARGETS), "args": [f"touch {MARK}"]}
+        node[rng.choice(TEXTS)] = value
     else:
-        node[key] = copy.deepcopy(rng.choice(VALUES))
+        node[key] = {"_target_": rng.choice(TARGETS), "args": [f"touch {MARK}"]} if what < 0.25 else value
 
 
 def change_target(folder: Path, rng: random.Random) -> None:
     """Another class in some section of the settings."""
     path = rng.choice([path for path in folder.rglob("*.json") if "_target_" in path.read_text()])
-    content = json.loads(path.read_text())
-    sections = [*_list_sections(content)]
+    sections: list[dict[str, Any]] = []
+
+    def collect(section: dict[str, Any]) -> dict[str, Any]:
+        sections.extend([section] if "_target_" in section else [])
+        return section
+
+    content = json.loads(path.read_text(), object_hook=collect)
     rng.choice(sections)["_target_"] = rng.choice(TARGETS)
     path.write_text(json.dumps(content))
-
-
-def _list_sections(node: Any) -> Iterator[dict[str, Any]]:
-    if isinstance(node, dict):
-        if "_target_" in node:
-            yield node
-        node = [*node.values()]
-    if isinstance(node, list):
-        for part in node:
-            yield from _list_sections(part)
 
 
 def change_choices(folder: Path, rng: random.Random) -> None:
@@ -294,26 +186,17 @@ def change_choices(folder: Path, rng: random.Random) -> None:
 
 def change_form(folder: Path, rng: random.Random) -> None:
     """A file of JSON that is none, or in a form that no reader expects."""
-    path = rng.choice([path for path in folder.rglob("*.json") if path.is_file()])
+    path = _pick(folder, rng)
     text = path.read_text()
+    replaced = [
+        *((": 0.", ": NaN"), (": 1", ": 1" + "0" * 400), (": 1", ": 1e999"), (": 1", ": 1" + "0" * 5000)),
+        *(('"settings"', '"settings": {}, "settings"'), ("coulomb", "\\u001b[31m"), ("frictionzoo", "stranger")),
+        *(("knee", "\\ud800"), ("frictionzoo.bench", "frictionzoo.design.__main__")),
+    ]
     forms = (
         *("[]", "3", "null", "", '{"a":', "[" * 100_000, '{"a":' * 900 + "1" + "}" * 900, "\ufeff" + text, text * 2),
-        *(
-            text.replace(": 0.", ": NaN", 1),
-            text.replace(": 1", ": 1" + "0" * 400, 1),
-            text.replace(": 1", ": 1e999", 1),
-        ),
-        *(
-            text.replace(": 1", ": 1" + "0" * 5000, 1),
-            text.replace('"settings"', '"settings": {}, "settings"'),
-            text[: rng.randrange(len(text))],
-        ),
-        *(
-            text.replace("coulomb", "\\u001b[31m"),
-            text.replace("frictionzoo", "stranger"),
-            text.replace("knee", "\\ud800"),
-        ),
-        text.replace("frictionzoo.bench", "frictionzoo.design.__main__"),
+        *(text.replace(old, new, 1 if ":" in old else -1) for old, new in replaced),
+        text[: rng.randrange(len(text))],
     )
     path.write_text(rng.choice(forms), encoding="utf-8")
 
@@ -327,25 +210,13 @@ def change_yaml(folder: Path, rng: random.Random) -> None:
 
 def change_bytes(folder: Path, rng: random.Random) -> None:
     """Bytes of a file that hold something else."""
-    path = rng.choice([path for path in folder.rglob("*") if path.is_file() and path.suffix != ".png"])
-    content = bytearray(path.read_bytes())
-    how = rng.randrange(6)
-    if how == 0:
-        content = content[: rng.randrange(len(content) + 1)]
-    elif how == 1:
-        for _ in range(rng.choice((1, 8, 64))):
-            content[rng.randrange(len(content))] = rng.randrange(256) if content else 0
-    elif how == 2:
-        content = bytearray(pickle.dumps(Bomb()))
-    elif how == 3:
-        buffer = io.BytesIO()
-        torch.save({"frictionzoo": Bomb(), "state_dict": {}}, buffer)
-        content = bytearray(buffer.getvalue())
-    elif how == 4:
-        content = bytearray((2**62).to_bytes(8, "little") + b"{}")
-    else:
-        content = bytearray(PYTHON.encode())
-    path.write_bytes(content)
+    path, saved = _pick(folder, rng, "*"), io.BytesIO()
+    torch.save({"frictionzoo": Bomb(), "state_dict": {}}, saved)
+    flipped = bytearray(content := path.read_bytes())
+    for _ in range(rng.choice((1, 8, 64)) if content else 0):
+        flipped[rng.randrange(len(content))] = rng.randrange(256)
+    bombs = pickle.dumps(Bomb()), saved.getvalue(), (2**62).to_bytes(8, "little") + b"{}", PYTHON.encode()
+    path.write_bytes(rng.choice((content[: rng.randrange(len(content) + 1)], flipped, *bombs)))
     _hash_again(folder, rng)
 
 
@@ -354,37 +225,20 @@ def change_arrays(folder: Path, rng: random.Random) -> None:
     path = rng.choice([*folder.rglob("*.safetensors"), *folder.rglob("last.ckpt")])
     if path.suffix == ".ckpt":
         saved = torch.load(path, weights_only=True)
-        part = saved["frictionzoo"]
-        place = rng.choice(("progress", "history", "identity"))
-        values = (
-            *([], {}, None, "x", [torch.zeros(3)], [torch.zeros(2, 2).bool()] * 8),
-            part[place][:-1] if place != "identity" else {},
-        )
-        part[place] = rng.choice(values)
+        part, place = saved["frictionzoo"], rng.choice(("progress", "history", "identity"))
+        shorter = part[place][:-1] if place != "identity" else {}
+        part[place] = rng.choice(([], {}, None, "x", [torch.zeros(3)], [torch.zeros(2, 2).bool()] * 8, shorter))
         if rng.random() < 0.3:
             saved[rng.choice([key for key in saved if key != "frictionzoo"])] = rng.choice((None, 3, "x", [], {}))
-        torch.save(saved, path)
-        return
+        return torch.save(saved, path)
     arrays = dict(safetensors.numpy.load(path.read_bytes()))
     for name in rng.sample(sorted(arrays), min(len(arrays), rng.choice((1, 1, 2, 9)))):
-        old = arrays[name]
-        arrays[name] = rng.choice(
-            (
-                np.zeros(0),
-                np.zeros((2, 2)),
-                old.astype(np.float16),
-                old * np.nan,
-                old * 1e300,
-                old[..., None],
-                old[:1],
-                old.astype(bool),
-                np.zeros((1, 0, 3)),
-            )
-        )
-        if rng.random() < 0.2:
-            arrays[f"{name}\x1b[31m"] = arrays.pop(name)
+        old = arrays.pop(name)
+        changed = (old.astype(np.float16), old.astype(bool), old * np.nan, old * 1e300, old[..., None], old[:1])
+        new = rng.choice((np.zeros(0), np.zeros((2, 2)), np.zeros((1, 0, 3)), *changed))
+        arrays[name if rng.random() < 0.8 else f"{name}\x1b[31m"] = new
     path.write_bytes(safetensors.numpy.save({name: np.ascontiguousarray(values) for name, values in arrays.items()}))
-    _hash_again(folder, rng)
+    return _hash_again(folder, rng)
 
 
 def _hash_again(folder: Path, rng: random.Random) -> None:
@@ -392,11 +246,9 @@ def _hash_again(folder: Path, rng: random.Random) -> None:
     path = folder / "card.json"
     with contextlib.suppress(ValueError, KeyError, TypeError, OSError):
         content = json.loads(path.read_text())
+        hashes = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in content["files"]}
         if rng.random() < 0.8:
-            content["files"] = {
-                name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in content["files"]
-            }
-            path.write_text(json.dumps(content))
+            path.write_text(json.dumps(content | {"files": hashes}))
 
 
 def change_links(folder: Path, rng: random.Random) -> None:
@@ -410,27 +262,12 @@ def change_links(folder: Path, rng: random.Random) -> None:
 
 def add_files(folder: Path, rng: random.Random) -> None:
     """Files that Python, Hydra or a library might pick up."""
-    for name in (
-        "stranger.py",
-        "conftest.py",
-        "sitecustomize.py",
-        "frictionzoo/__init__.py",
-        "run/stranger.py",
-        "hydra_plugins/x.py",
-    ):
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(PYTHON)
-    for name in (
-        "model/evil.yaml",
-        "conf/model/evil.yaml",
-        ".hydra/evil.yaml",
-        "evil.yaml",
-        "hydra/launcher/evil.yaml",
-    ):
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(EVIL)
+    python = ("stranger", "conftest", "sitecustomize", "frictionzoo/__init__", "run/stranger", "hydra_plugins/x")
+    yaml = ("model/evil", "conf/model/evil", ".hydra/evil", "evil", "hydra/launcher/evil")
+    for names, suffix, content in ((python, "py", PYTHON), (yaml, "yaml", EVIL)):
+        for path in (folder / f"{name}.{suffix}" for name in names):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(content)
     if rng.random() < 0.5:
         (folder / rng.choice((".running", "comparison", "export", "distilled"))).mkdir(exist_ok=True)
 
@@ -450,22 +287,17 @@ def sign(folder: Path) -> None:
 
 def do(command: str, folder: Path) -> str:
     """Have the program take up a folder; returns `done` or `refused`."""
-    out, output = io.StringIO(), folder.parent / "output"
-    options = {
-        "compare": (compare, [str(folder), "--output", str(output)]),
-        "export": (export, [str(folder), "target=mjcf", f"output={output}"]),
-        "resume": (run.main, [f"resume={folder}"]),
-        "distill": (
-            distill,
-            [str(folder), "model=coulomb_smooth", "fit=adam", "fit.iterations=1", f"output={output}"],
-        ),
+    out, output = io.StringIO(), f"output={folder.parent / 'output'}"
+    options: dict[str, Callable[[], Any]] = {
+        **dict.fromkeys(("load", "card"), lambda: print(repr(fz.load(folder)), end="")),
+        "compare": lambda: compare([str(folder), "--output", output[7:]]),
+        "export": lambda: export([str(folder), "target=mjcf", output]),
+        "resume": lambda: run.main([f"resume={folder}"]),
+        "distill": lambda: distill([str(folder), "model=coulomb_smooth", "fit=adam", "fit.iterations=1", output]),
     }
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         try:
-            if command in ("load", "card"):
-                print(repr(fz.load(folder)), end="")
-                return "done"
-            options[command][0](options[command][1])
+            options[command]()
             return "done"
         except FrictionzooError as error:
             assert "\n" not in str(error)
@@ -477,88 +309,60 @@ def do(command: str, folder: Path) -> str:
             return "refused" if end.code == 2 else "done"
         finally:
             text = out.getvalue()
-            assert not set(text) & {chr(code) for code in (*range(10), *range(11, 32), *range(127, 160), 0x202E)}, repr(
-                text
-            )
-            assert "Traceback" not in text, text
+            controls = {chr(code) for code in (*range(10), *range(11, 32), *range(127, 160), 0x202E)}
+            assert not set(text) & controls and "Traceback" not in text, repr(text)
+
+
+def mutate(folder: Path, rng: random.Random) -> list[str]:
+    """Change a folder in one way or two; returns which. Links come last: nothing here writes through one."""
+    mutations = rng.choices(*zip(*MUTATIONS, strict=True), k=rng.choice((1, 1, 2)))
+    for change in sorted(mutations, key=lambda each: each is change_links):
+        with contextlib.suppress(Exception):
+            change(folder, rng)  # a second one may not know what the first has left
+    if rng.random() < 0.9:
+        sign(folder)
+    return [change.__name__ for change in mutations]
 
 
 def main(source: Path, card: Path, scratch: Path, count: int, seed: int) -> None:
     """Try so many mutations."""
     tempfile.tempdir = str(scratch)
-    cache = Path(os.environ["XDG_CACHE_HOME"])
-    outside = scratch / "outside"
+    places = [Path(os.environ[name]) for name in ("XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR")]
+    outside, watch = scratch / "outside", Watch(scratch, [*places, Path(os.devnull)])
     outside.mkdir()
     (outside / "file").write_text("mine")
-    watch = Watch(scratch, [cache, Path(os.environ["JAX_COMPILATION_CACHE_DIR"]), Path(os.devnull)])
-    counts, wrong, seconds = Counter[str](), [], Counter[str]()
-    for number in range(-len(COMMANDS), count):
-        rng = random.Random(seed * 1_000_003 + number)
+    counts, wrong = Counter[str](), []
+    for number in range(-len(COMMANDS), count):  # the first are not changed, and have to end well
+        rng, folder = random.Random(seed * 1_000_003 + number), scratch / str(number) / "run"
         command = [*COMMANDS][number] if number < 0 else rng.choices([*COMMANDS], [*COMMANDS.values()])[0]
-        folder = scratch / str(number) / "run"
-        shutil.copytree(
-            card if command == "card" else source,
-            folder,
-            ignore=shutil.ignore_patterns("report.html", "*.png") if command != "card" else None,
-        )
-        done = []
-        if number >= 0:  # the first have to end well
-            mutations = rng.choices(*zip(*MUTATIONS, strict=True), k=rng.choice((1, 1, 2)))
-            for mutate in sorted(
-                mutations, key=lambda each: each is change_links
-            ):  # links last: nothing here writes through one
-                with contextlib.suppress(Exception):
-                    mutate(folder, rng)  # a second one may not know what the first has left
-                done.append(mutate.__name__)
-            if rng.random() < 0.9:
-                sign(folder)
+        left_out = shutil.ignore_patterns(*(() if command == "card" else ("report.html", "*.png")))
+        shutil.copytree(card if command == "card" else source, folder, ignore=left_out)
+        case = {"case": number, "command": command, "by": mutate(folder, rng) if number >= 0 else []}
         os.chdir(folder.parent)
         sys.path_importer_cache.clear()
         watch.seen.clear()
         watch.case = str(number) if number >= 0 else None  # the first also import what libraries look up
-        began = time.process_time()
         try:
             outcome = do(command, folder)
         except BaseException as error:
             outcome = "wrong"
             frames = [f"{Path(f.filename).name}:{f.lineno}" for f in traceback.extract_tb(error.__traceback__)[-4:]]
-            wrong.append(
-                {
-                    "case": number,
-                    "command": command,
-                    "by": done,
-                    "error": f"{type(error).__name__}: {error!s:.600}",
-                    "at": frames,
-                }
-            )
+            wrong.append(case | {"error": f"{type(error).__name__}: {error!s:.600}", "at": frames})
         finally:
             watch.case = None
-        if watch.seen:
-            wrong.append({"case": number, "command": command, "by": done, "seen": watch.seen[:3]})
-        if (
-            [*scratch.rglob(MARK)]
-            or hasattr(sys, MARK)
-            or (outside / "file").read_bytes() != b"mine"
-            or len([*outside.iterdir()]) > 1
-        ):
-            wrong.append({"case": number, "command": command, "by": done, "error": "executed, or written outside"})
-            break
-        if number < 0 and outcome != "done":
-            wrong.append({"case": number, "command": command, "error": "refused as it is"})
         counts[f"{command} {outcome}"] += 1
-        seconds[f"{command} {outcome}"] += time.process_time() - began
+        if watch.seen:
+            wrong.append(case | {"seen": watch.seen[:3]})
+        if number < 0 and outcome != "done":
+            wrong.append(case | {"error": "refused as it is"})
+        left = {path.name: path.read_bytes() for path in outside.iterdir()}
+        if [*scratch.rglob(MARK)] or hasattr(sys, MARK) or left != {"file": b"mine"}:
+            wrong.append(case | {"error": "executed, or written outside"})
+            break
         os.chdir(scratch)
         if not os.environ.get("KEEP_CASES"):
             shutil.rmtree(folder.parent)
-    print(
-        json.dumps(
-            {
-                "wrong": wrong,
-                "counts": dict(sorted(counts.items())),
-                "seconds": {name: round(took, 1) for name, took in seconds.items()},
-            }
-        )
-    )
+    print(json.dumps({"wrong": wrong, "counts": dict(sorted(counts.items()))}))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,22 +12,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Finished, finish
+from conftest import ROOT, Finished, finish
 from hostile import sign
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, QuotedString
+from hydra.core.override_parser.types import QuotedString
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench
 from frictionzoo.cli import inspect
-from frictionzoo.cli.finished import compare, export
+from frictionzoo.cli.finished import card, compare, export
 from frictionzoo.cli.overrides import given_to_hydra, quote_values, read_arguments, refuse_no_choice
-from frictionzoo.cli.resume import SETTINGS, restore_overrides
+from frictionzoo.cli.resume import SETTINGS, Begun, restore_overrides
 from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config, merge_saved
 from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError
 from frictionzoo.core.telling import escape_controls
+from frictionzoo.models.registry import REGISTRY
 
 Change = Callable[[dict[str, Any]], None]
 CALLBACK = """# @package _global_
@@ -70,25 +73,23 @@ def target(*place: str, name: Any = "stranger.Law") -> Change:
         (lambda c: c["choices"].update(model="evil"), "model=evil"),
         (lambda c: c["choices"].update({"hydra/launcher": "joblib"}), "hydra/launcher=joblib"),
         (lambda c: c["choices"].update({"model@hydra.callbacks": "lugre"}), "model@hydra.callbacks=lugre"),
-        (lambda c: c["choices"].update(model=["lugre"]), r"model=\['lugre'\]"),
+        (lambda c: c["choices"].update(model=["lugre"]), "model=['lugre']"),
         (lambda c: c["options"].append("+hydra.callbacks.x._target_=stranger.Law"), "settings.json"),
         (lambda c: c["options"].append("--config-dir=foreign"), "settings.json"),
         (lambda c: c.pop("settings"), "settings.json"),
-        (lambda c: c["choices"].update(logger="mlflow"), "add logger=mlflow"),
+        (lambda c: c["choices"].update(logger="mlflow"), "logger=mlflow"),
+        *((text, "settings.json") for text in (None, "", "[]", '{"choices": 3}')),
+        ("!!python/object/apply:os.mkdir [executed]", "settings.json"),
     ],
 )
-def test_a_record_that_chooses_something_else_is_refused(foreign: Path, how: Change, named: str) -> None:
-    change(foreign / SETTINGS, how)
-    with pytest.raises(ConfigError, match=named):
-        restore_overrides([f"resume={foreign}"])
-
-
-@pytest.mark.parametrize("content", [None, "", "[]", "!!python/object/apply:os.mkdir [executed]", '{"choices": 3}'])
-def test_a_record_that_is_none_is_refused(foreign: Path, content: str | None) -> None:
-    (foreign / SETTINGS).unlink()
-    if content is not None:
-        (foreign / SETTINGS).write_text(content)
-    with pytest.raises(ConfigError, match=r"settings\.json"):
+def test_a_record_that_chooses_something_else_or_is_none_is_refused(
+    foreign: Path, how: Change | str | None, named: str
+) -> None:
+    if callable(how):
+        change(foreign / SETTINGS, how)
+    else:
+        (foreign / SETTINGS).unlink() if how is None else (foreign / SETTINGS).write_text(how)
+    with pytest.raises(ConfigError, match=re.escape(named)):
         restore_overrides([f"resume={foreign}"])
     assert not Path("executed").exists()
 
@@ -136,20 +137,16 @@ def test_a_run_names_registered_plug_ins_only(foreign: Path, place: tuple[str, .
     assert not Path("executed").exists()
 
 
-def test_a_law_of_this_program_is_built_while_it_is_registered() -> None:
+def test_a_law_of_this_program_is_built_while_it_is_registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
     cls = type("Own", (fz.FrictionModel,), {"__module__": "__main__", "dimensions": {}, "terms": lambda *_: None})
     section = {"_target_": "__main__.Own", "params": {}}
     with pytest.raises(ConfigError, match=r"_target_=__main__\.Own"):
         build(section, fz.FrictionModel, nv=1)
-    try:
-        fz.register_model("of_a_stranger_s_test")(cls)
-        assert isinstance(build(section, fz.FrictionModel, nv=1), cls)
-        with pytest.raises(ConfigError, match="derived from Bench"):
-            build(section, Bench, nv=1)
-    finally:
-        from frictionzoo.models.registry import REGISTRY
-
-        REGISTRY.entries.pop("of_a_stranger_s_test", None)
+    fz.register_model("of_a_stranger_s_test")(cls)
+    assert isinstance(build(section, fz.FrictionModel, nv=1), cls)
+    with pytest.raises(ConfigError, match="derived from Bench"):
+        build(section, Bench, nv=1)
 
 
 @pytest.mark.parametrize("place", ["figures", "checkpoints", "export"])
@@ -164,19 +161,14 @@ def test_a_link_out_of_a_run_is_not_written_through(foreign: Path, tmp_path: Pat
     assert finished.status == 2 and not [*(tmp_path / "mine").iterdir()]
 
 
-def test_caches_of_a_stranger_are_not_used(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from frictionzoo.cli.resume import Begun
-    from frictionzoo.core.config import compose_config, merge_saved
-
+def test_caches_of_a_stranger_are_not_used(foreign: Path) -> None:
     def cache(content: dict[str, Any]) -> None:
         content["settings"] |= {"compilation_cache": "foreign/xla", "device": "${oc.env:HOME}"}
         content["settings"]["data"]["cache_dir"] = "foreign/data"
 
     change(foreign / SETTINGS, cache)
-    plain = compose_config("data=files", "model=coulomb_smooth")
-    merged = merge_saved(
-        Begun.read(foreign).settings, plain, compose_config("data=files", "model=coulomb_smooth", "seed=9")
-    )
+    plain, today = (compose_config("data=files", "model=coulomb_smooth", *more) for more in ((), ("seed=9",)))
+    merged = merge_saved(Begun.read(foreign).settings, plain, today)
     assert merged.compilation_cache == merged.data.cache_dir == "user"
     assert merged.device == "${oc.env:HOME}"  # text that refers to nothing
     assert (merged.seed, merged.fit.iterations) == (9, 3)  # today's, and the run's
@@ -204,15 +196,11 @@ def test_a_folder_that_the_user_adds_has_names_too(tmp_path: Path) -> None:
         refuse_no_choice(["model=own"])
 
 
-def parse(argument: str) -> Override:
-    return OverridesParser.create().parse_override(argument)
-
-
 @settings(max_examples=100, deadline=None)
 @given(st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), min_size=1, max_size=12))
 def test_a_value_keeps_its_meaning_or_is_quoted_as_it_stands(value: str) -> None:
     """What Hydra reads stays; what it cannot read becomes just that text, a list of texts, or is refused as before."""
-    argument = f"bench.joint={value}"
+    argument, parse = f"bench.joint={value}", OverridesParser.create().parse_override
     (quoted,) = quote_values([argument])
     if quoted == argument:
         return
@@ -227,44 +215,29 @@ def test_a_value_keeps_its_meaning_or_is_quoted_as_it_stands(value: str) -> None
         assert "," not in value or set(value) & set("([{")
 
 
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        ("bench.joint=.*_(hip|knee)", ".*_(hip|knee)"),
-        ("data.columns.time=data[0]", "data[0]"),
-        ("data.columns.qpos=[data[0],data[1]]", ["data[0]", "data[1]"]),
-        ("bench.joint=[.*_(hip|knee),wheel]", [".*_(hip|knee)", "wheel"]),
-        (r"data.fields_from_name=^a(?P<kp>\d+)$", r"^a(?P<kp>\d+)$"),
-        ('data.train=a"(1)\\', 'a"(1)\\'),
-        ("data.where={kp:[4,8]}", {"kp": [4, 8]}),
-    ],
-)
-def test_an_option_copied_from_the_documentation_is_read(argument: str, value: Any) -> None:
-    (override,) = read_arguments(quote_values([argument]))
-    assert override.value() == value and not override.is_sweep_override()
+COPIED = {  # options of the documentation, and their values
+    "bench.joint=.*_(hip|knee)": ".*_(hip|knee)",
+    "data.columns.time=data[0]": "data[0]",
+    "data.columns.qpos=[data[0],data[1]]": ["data[0]", "data[1]"],
+    "bench.joint=[.*_(hip|knee),wheel]": [".*_(hip|knee)", "wheel"],
+    r"data.fields_from_name=^a(?P<kp>\d+)$": r"^a(?P<kp>\d+)$",
+    'data.train=a"(1)\\': 'a"(1)\\',
+    "data.where={kp:[4,8]}": {"kp": [4, 8]},
+}
+SWEEPS = ["seed=1,2", "model=glob(*)", "seed=range(3)", "bench.joint=choice(a,b)", "fit.learning_rate=0.1,0.2"]
 
 
-@pytest.mark.parametrize(
-    "argument", ["data.train=[a.csv", "seed=choice(1,2", "bench.joint=a(b),c", "data.train='a", "a=${b"]
-)
-def test_what_is_no_text_is_still_refused(argument: str) -> None:
-    assert quote_values([argument]) == [argument]
-    with pytest.raises(ConfigError, match="close brackets"):
-        [*read_arguments([argument])]
-
-
-def test_sweeps_keep_their_meaning() -> None:
-    sweeps = [
-        "-m",
-        "seed=1,2",
-        "model=glob(*)",
-        "seed=range(3)",
-        "bench.joint=choice(a,b)",
-        "fit.learning_rate=0.1,0.2",
-    ]
-    assert quote_values(sweeps) == sweeps
-    with given_to_hydra(sweeps):
-        assert sys.argv[1:] == sweeps
+def test_arguments_keep_their_meaning() -> None:
+    for argument, value in COPIED.items():
+        (override,) = read_arguments(quote_values([argument]))
+        assert override.value() == value and not override.is_sweep_override()
+    for argument in ("data.train=[a.csv", "seed=choice(1,2", "bench.joint=a(b),c", "data.train='a", "a=${b"):
+        assert quote_values([argument]) == [argument]
+        with pytest.raises(ConfigError, match="close brackets"):
+            [*read_arguments([argument])]
+    assert quote_values(["-m", *SWEEPS]) == ["-m", *SWEEPS]
+    with given_to_hydra(SWEEPS):
+        assert sys.argv[1:] == SWEEPS
 
 
 @given(st.text(max_size=30))
@@ -281,12 +254,12 @@ def test_what_is_printed_obeys_nobody(text: str) -> None:
 TITLE = "\x1b]0;owned\x07\x9b31m\u202e"
 
 
-def assert_plain(finished: Finished, status: int) -> None:
-    assert finished.status == status
-    for text in (finished.out, finished.err):
-        assert not {
-            char for char in text if char != "\n" and (ord(char) < 32 or 127 <= ord(char) < 160 or char == "\u202e")
-        }
+def finish_plainly(command: Callable, *arguments: str) -> Finished:
+    """What a command leaves, which controls no terminal."""
+    finished = finish(lambda: command([*arguments]))
+    codes = {*map(ord, finished.out + finished.err)} - {ord("\n")}
+    assert not codes & {*range(32), *range(127, 160), 0x202E}
+    return finished
 
 
 @pytest.mark.usefixtures("call")
@@ -295,18 +268,17 @@ def test_a_header_of_a_recording_does_not_reach_the_terminal() -> None:
     table = np.stack([time, np.sin(time), np.cos(time), np.sin(time)], axis=1)
     for name, header in (("a.csv", f"time,qpos,qvel,ctrl{TITLE}"), (f"b{TITLE}.csv", f"time,{TITLE},b,c")):
         np.savetxt(name, table, delimiter=",", header=header, comments="", encoding="utf-8")
-        finished = finish(lambda name=name: inspect.main([name, "hydra.run.dir=out"]))
-        assert_plain(finished, finished.status)
+        finished = finish_plainly(inspect.main, name, "hydra.run.dir=out")
         assert "\\x1b]0;owned\\x07" in finished.out + finished.err
 
 
 def test_names_of_a_run_do_not_reach_the_terminal(foreign: Path) -> None:
     path, forged = foreign / "result.json", f"files{TITLE}\nverdict: all is well"
     path.write_text(path.read_text().replace('"files"', json.dumps(forged)))
-    finished = finish(lambda: compare([str(foreign), "--output", "out"]))
-    assert_plain(finished, 0)
-    assert "\\x1b]0;owned" in finished.out and "\nverdict: all is well" not in finished.out + repr(fz.load(foreign))
-    assert_plain(finish(lambda: export([f"foreign{TITLE}", "target=mjcf"])), 2)
+    finished = finish_plainly(compare, str(foreign), "--output", "out")
+    assert finished.status == 0 and "\\x1b]0;owned" in finished.out
+    assert "\nverdict: all is well" not in finished.out + repr(fz.load(foreign))
+    assert finish_plainly(export, f"foreign{TITLE}", "target=mjcf").status == 2
 
 
 @pytest.mark.slow
@@ -314,25 +286,15 @@ def test_a_thousand_mutated_runs_and_cards_do_no_harm(
     finished_run: Callable, tmp_path: Path, compilation_cache: Path
 ) -> None:
     """See hostile.py. Audit hooks cannot be removed, so that it is a process of its own."""
-    source, card = finished_run("coulomb_smooth")[0], tmp_path / "card"
-    finish(
-        lambda: __import__("frictionzoo.cli.finished", fromlist=["card"]).card(
-            [str(source), "licence=cc-by-4.0", f"output={card}"]
-        )
-    )
+    source, output = finished_run("coulomb_smooth")[0], tmp_path / "card"
+    card([str(source), "licence=cc-by-4.0", f"output={output}"])
     (tmp_path / "scratch").mkdir()
-    command = [sys.executable, Path(__file__).with_name("hostile.py"), source, card, tmp_path / "scratch", "1000", "0"]
-    own = {
-        "XDG_CACHE_HOME": tmp_path / "cache",
-        "JAX_COMPILATION_CACHE_DIR": compilation_cache,
-        "PYTHONPATH": Path(__file__).parents[1],
-    }
+    script = Path(__file__).with_name("hostile.py")
+    command = [sys.executable, script, source, output, tmp_path / "scratch", "1000", "0"]
+    own = {"XDG_CACHE_HOME": tmp_path / "cache", "JAX_COMPILATION_CACHE_DIR": compilation_cache, "PYTHONPATH": ROOT}
     environment = os.environ | {name: str(value) for name, value in own.items()}
     finished = subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr[-3000:]
     said = json.loads(finished.stdout.splitlines()[-1])
-    assert said["wrong"] == []
-    assert (
-        sum(said["counts"].values()) > 1000
-        and min(said["counts"].get(f"{c} refused", 0) for c in ("load", "resume")) > 20
-    )
+    assert said["wrong"] == [] and sum(said["counts"].values()) > 1000
+    assert min(said["counts"].get(f"{command} refused", 0) for command in ("load", "resume")) > 20
