@@ -40,8 +40,7 @@ from frictionzoo.result.curves import Curves
 from frictionzoo.simulation.base import FORWARD
 from frictionzoo.simulation.context import computing
 
-# As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.
-torch.set_num_threads(1)
+torch.set_num_threads(1)  # torch is loaded and no longer looks at the environment
 
 DATA = os.environ.get("FRICTIONZOO_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="FRICTIONZOO_DATA is not set; it names the folder of recordings")
@@ -52,11 +51,8 @@ CACHE_OPTIONS = {  # keep every compiled function, however small
     "jax_persistent_cache_min_entry_size_bytes": -1,
 }
 BRIEF = {  # options of an evaluation that takes no time
-    "evaluation.horizons": "[0.1]",
-    "evaluation.rollouts": "1",
-    "evaluation.places": "1",
-    "evaluation.trajectory": "0.1",
-    "evaluation.window": "0.02",
+    **{"evaluation.horizons": "[0.1]", "evaluation.rollouts": "1", "evaluation.places": "1"},
+    **{"evaluation.trajectory": "0.1", "evaluation.window": "0.02"},
 }
 UNOPTIMISED = "jax_disable_most_optimizations"  # XLA as JAX's own tests use it: compiling takes two thirds of the time
 
@@ -108,10 +104,8 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
 def slow_but(quick: Collection[Any], values: Iterable[Any]) -> list[Any]:
     """Parameters of a test; those that are not among the quick ones make slow tests."""
     return [
-        pytest.param(
-            *(value if isinstance(value, tuple) else (value,)), marks=[] if value in quick else pytest.mark.slow
-        )
-        for value in values
+        pytest.param(*(each if isinstance(each, tuple) else (each,)), marks=() if each in quick else pytest.mark.slow)
+        for each in values
     ]
 
 
@@ -175,7 +169,7 @@ def leg(shared_folder: Path) -> Callable[..., Bench]:
 
 @pytest.fixture(scope="session")
 def two_joints(leg: Callable[..., Bench]) -> Bench:
-    """The same as its defaults have it."""
+    """A hip and a knee with the defaults of `leg`."""
     return leg()
 
 
@@ -206,41 +200,30 @@ def compiled_once(compilation_cache: Path) -> None:
 @pytest.fixture(scope="session")
 def recording(shared_folder: Path) -> Path:
     """A CSV recording of 1.5 s at 1 ms: the paper's rod under its controller, with Coulomb and viscous friction."""
-    path = shared_folder / "recording" / "knee.csv"
+    path, samples, timestep = shared_folder / "recording" / "knee.csv", 1500, 1e-3
     with FileLock(shared_folder / "recording.lock"):
-        if not path.exists():
-            path.parent.mkdir()
-            _record(path)
+        if path.exists():
+            return path
+        inertia, time = 0.0011 + 0.26 * 0.1127**2 + 0.04, timestep * np.arange(samples)
+        ctrl = 0.6 * np.sin(2 * np.pi * 1.5 * time) + 0.3 * np.sin(2 * np.pi * 0.7 * time)
+        qpos, qvel = np.zeros((2, samples))
+        for i in range(samples - 1):
+            friction = 0.1 * np.tanh(qvel[i] / 0.01) + 0.05 * qvel[i]
+            torque = 20 * (ctrl[i] - qpos[i]) - qvel[i] - 0.26 * 9.81 * 0.1127 * np.sin(qpos[i]) - friction
+            qvel[i + 1] = qvel[i] + timestep * torque / inertia
+            qpos[i + 1] = qpos[i] + timestep * qvel[i + 1]
+        path.parent.mkdir()
+        table = np.stack([time, qpos, qvel, ctrl], axis=1)
+        np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
     return path
-
-
-def _record(path: Path) -> None:
-    samples, timestep, inertia = 1500, 1e-3, 0.0011 + 0.26 * 0.1127**2 + 0.04
-    time = timestep * np.arange(samples)
-    ctrl = 0.6 * np.sin(2 * np.pi * 1.5 * time) + 0.3 * np.sin(2 * np.pi * 0.7 * time)
-    qpos, qvel = np.zeros((2, samples))
-    for i in range(samples - 1):
-        friction = 0.1 * np.tanh(qvel[i] / 0.01) + 0.05 * qvel[i]
-        torque = 20 * (ctrl[i] - qpos[i]) - qvel[i] - 0.26 * 9.81 * 0.1127 * np.sin(qpos[i]) - friction
-        qvel[i + 1] = qvel[i] + timestep * torque / inertia
-        qpos[i + 1] = qpos[i] + timestep * qvel[i + 1]
-    table = np.stack([time, qpos, qvel, ctrl], axis=1)
-    np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
 
 
 @pytest.fixture(scope="session")
 def tiny(recording: Path) -> tuple[str, ...]:
     """Overrides of a job of seconds. Its rollouts have one shape, so that little is compiled."""
     return (
-        *(
-            "data=files",
-            "bench=knee",
-            "recipe=given",
-            f"data.train=[{recording}]",
-            "data.split.gap=0.05",
-            "dtype=float64",
-        ),
-        *("segments.count=20", "loop.chunk=2", "loop.progress=false", "discretisation=false"),
+        *("data=files", "bench=knee", "recipe=given", f"data.train=[{recording}]", "data.split.gap=0.05"),
+        *("segments.count=20", "loop.chunk=2", "loop.progress=false", "discretisation=false", "dtype=float64"),
         *(f"{option}={value}" for option, value in BRIEF.items()),
     )
 
@@ -283,17 +266,16 @@ def start(compilation_cache: Path, tmp_path: Path) -> Iterator[Callable[..., sub
 
     Another `program` is started in its place; `variables` are added to the environment.
     """
-    cache = {"JAX_COMPILATION_CACHE_DIR": compilation_cache, **{key.upper(): v for key, v in CACHE_OPTIONS.items()}}
+    options = {"jax_compilation_cache_dir": compilation_cache, **CACHE_OPTIONS}
+    ours = {"PYTHONPATH": str(ROOT), **{key.upper(): str(value) for key, value in options.items()}}
     started: list[subprocess.Popen] = []
 
     def start(
         *overrides: str, program: Sequence[str] = ("-m", "frictionzoo.run"), **variables: str
     ) -> subprocess.Popen:
-        own = {"PYTHONPATH": str(ROOT), **{key: str(value) for key, value in cache.items()}, **variables}
-        environment = {**os.environ, **own}
+        environment, pipe = {**os.environ, **ours, **variables}, subprocess.PIPE
         command = [sys.executable, *program, *overrides]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        started.append(subprocess.Popen(command, cwd=tmp_path, env=environment, **pipes))
+        started.append(subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=pipe, stderr=pipe, text=True))
         return started[-1]
 
     yield start
@@ -306,8 +288,7 @@ def start(compilation_cache: Path, tmp_path: Path) -> Iterator[Callable[..., sub
 def job_settings(compilation_cache: Path) -> Iterator[None]:
     """Undoes what jobs that run in this process leave behind: handlers of logging, Hydra's and JAX's settings."""
     options = {"jax_compilation_cache_dir": str(compilation_cache), **CACHE_OPTIONS}
-    # Precision and device are not among them: jobs set them in contexts, as tests do that start one. What holds
-    # in a context, made a setting, would outlast it.
+    # Jobs set precision and device in contexts: those, made settings, would outlast them.
     before = {name: getattr(jax.config, name) for name in options}
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
@@ -407,13 +388,9 @@ def make_runs() -> Callable[..., list[Run]]:
     Arguments are `labels`, of which `baseline` is the model without friction; `joints`, how many; and for one label
     each, `diverged`, whose every rollout leaves the finite numbers halfway, and `grid`, found by a grid search.
     """
-
-    def make_runs(
-        labels: Sequence[str], joints: int = 1, diverged: str | None = None, grid: str | None = None
-    ) -> list[Run]:
-        return [_make_run(i, label, joints, label == diverged, label == grid) for i, label in enumerate(labels)]
-
-    return make_runs
+    return lambda labels, joints=1, diverged=None, grid=None: [
+        _make_run(i, label, joints, label == diverged, label == grid) for i, label in enumerate(labels)
+    ]
 
 
 def trace_nothing(segments: Segments) -> Curves:
@@ -442,17 +419,10 @@ def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -
     velocity = np.linspace(-2, 2, 11)
     friction = (1 + place) * np.tanh(velocity)[:, None] * np.ones(joints)
     values = np.linspace(0.5, 1 + place, 4)[:, None] * np.ones(joints)
+    moved = measured[:, 1:]
     curves = Curves(
-        *(
-            measured,
-            5 * measured,
-            Signals(measured[:, 1:]),
-            np.zeros((3, 0)),
-            measured[:, 1:] + error,
-            5 * (measured[:, 1:] + error),
-            measured[:, 1:],
-            5 * measured[:, 1:],
-        ),
+        *(measured, 5 * measured, Signals(moved), np.zeros((3, 0))),
+        *(moved + error, 5 * (moved + error), moved, 5 * moved),
         *(mae, mae, *np.abs(noise.normal(size=(3, 40))), velocity),
         *(friction, friction - 0.1 * place, friction + 0.1 * place),
         {"iteration": np.arange(4.0), "loss": np.array([4.0, 5.0, 3.0, 1.0]), "friction.damping": values},
@@ -464,13 +434,15 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
     joints, damping = curves.qpos.shape[2], curves.history["friction.damping"][-1]
     names = [f"joint {i}" for i in range(joints)]
     fitted = {"low": 0.1, "high": 100.0, "identified": True, "at_bound": False, "interval": None, "identifiable": None}
-    metrics = {
-        part: _measure(curves.test_mae * share) for part, share in (("train", 0.8), ("test", 1), ("baseline", 2))
-    }
+    shares = {"train": 0.8, "test": 1.0, "baseline": 2.0}
+    metrics = {part: _measure(curves.test_mae * share) for part, share in shares.items()}
     kept = "position_mae", "position_rmse", "velocity_rmse"
     errors = {part: {key: row[key] for key in kept} for part, row in metrics.items()}
     paper = {"model": metrics["test"], "baseline": metrics["baseline"]}
     log = {"samples": 500, "sha256": 64 * "a", "payload": None}
+    values = [float(value) for value in damping]
+    by_joint = [{"name": name, "joints": [name], "value": v, **fitted} for name, v in zip(names, values, strict=True)]
+    row = {"name": "damping", "owner": "friction", "unit": "N m s/rad", **fitted, "by_joint": by_joint}
     return {
         "model": label.split()[0],
         "joints": names,
@@ -478,16 +450,7 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
             **{"name": "waves", "sha256": 64 * "a", "origin": "simulated", "timestep": 0.01, "samples": 1000},
             "logs": [{"name": part, "part": part, **log} for part in ("train", "test")],
         },
-        "parameters": [
-            {
-                **{"name": "damping", "owner": "friction", "unit": "N m s/rad", **fitted},
-                "value": damping.tolist() if joints > 1 else float(damping[0]),
-                "by_joint": [
-                    {"name": name, "joints": [name], "value": float(value), **fitted}
-                    for name, value in zip(names, damping, strict=True)
-                ],
-            }
-        ],
+        "parameters": [row | {"value": values if joints > 1 else values[0]}],
         **{"indistinct": [], "no_intervals": "nobody asked", "network": None, "torque": None, "links": None},
         "metrics": metrics,
         "by_horizon": [{"horizon": 0.5, **metrics}],

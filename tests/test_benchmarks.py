@@ -9,9 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import job_settings, needs_data
+from conftest import ROOT, job_settings, needs_data
 
-ROOT = Path(__file__).parent.parent
 BENCHMARKS = ROOT / "benchmarks"
 ON_RECORDINGS = ("robot", "branches")
 QUICKEST = {  # script: its arguments, and the rows that it has to give

@@ -1,8 +1,8 @@
 """Every command of the documentation is known: it runs as it stands, in a folder like its reader's, at a small size.
 
-A command is taken up by the first rule of `RULES` whose pattern it matches from start to end; one that no rule knows
-fails. A rule says how the command is tried, or which test does the same. Jobs of one kind differ in what they read and
-not in what follows: one of each kind is done in the quick run, the others are posed there, up to the first iteration.
+`LEFT` names files of tests that do the same; of `RULES`, the first one that a command matches says how it is tried.
+Jobs of one kind differ in what they read and not in what follows: one of each kind is done in the quick run, the others
+are posed there, up to the first iteration.
 """
 
 import functools
@@ -13,20 +13,16 @@ import os
 import re
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
-import time
 import tomllib
-import urllib.error
-import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import reproduce
-from conftest import BRIEF, Finished, check_each, needs_data, render_nothing
+from conftest import BRIEF, Finished, needs_data, render_nothing
 from filelock import FileLock
 from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
@@ -66,18 +62,13 @@ SCRIPTS = ("benchmarks", "experiments", "frictionzoo", "conf", "Makefile", "pypr
 REPRODUCED = {path.parent.name for path in (ROOT / "experiments").glob("*/expected.yaml")}
 NAMED = r"experiment=(\w+)|reproduce\.py (\w+)"
 CI = (ROOT / ".ci" / "run").read_text()
-PATIENCE = 60.0  # s after which a server that does not answer is a failure
 
 
 @dataclass(frozen=True)
 class Place:
-    """A reader's folder: a checkout's scripts, a test stand and recordings.
+    """A reader's folder with a checkout's scripts, a test stand and recordings, in which the test runs.
 
-    Attributes:
-        folder: The folder, in which the test runs.
-        call: Does a job in this process, as the fixture of this name.
-        finished_run: The fixture of this name.
-        cache: Folder of simulated recordings.
+    `call` and `finished_run` are the fixtures of these names, `cache` is a folder of simulated recordings.
     """
 
     folder: Path
@@ -85,16 +76,12 @@ class Place:
     finished_run: Callable[[str], tuple[Path, Finished]]
     cache: Path
 
-    @property
-    def environment(self) -> dict[str, str]:
-        """Of processes that are started here."""
-        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        return {**os.environ, "PYTHONPATH": str(ROOT), "PATH": path}
-
     def run(self, command: str) -> str:
         """What a command prints in a shell, in which it has to end well."""
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": path}
         shell = ["bash", "-euo", "pipefail", "-c", command]
-        finished = subprocess.run(shell, cwd=self.folder, env=self.environment, capture_output=True, text=True)
+        finished = subprocess.run(shell, cwd=self.folder, env=environment, capture_output=True, text=True)
         assert finished.returncode == 0, finished.stdout + finished.stderr
         return finished.stdout
 
@@ -154,16 +141,6 @@ def pose_jobs(command: str, place: Place) -> None:
         assert problem.dataset.train and problem.dataset.test
 
 
-def left_to(*tests: str) -> How:
-    """The command is tried by these tests."""
-
-    def leave(command: str, place: Place) -> None:
-        for file, _, name in (test.partition("::") for test in tests):
-            assert f"def {name}(" in (ROOT / "tests" / f"{file}.py").read_text(), f"{file}::{name} tries `{command}`"
-
-    return leave
-
-
 def leave_to_ci(command: str, place: Place) -> None:
     """CI runs the README's first blocks."""
     (number,) = (
@@ -174,7 +151,10 @@ def leave_to_ci(command: str, place: Place) -> None:
 
 def install_for_development(command: str, place: Place) -> None:
     """In a copy of the project whose new environment sees the packages of this one, so that few are installed."""
-    copy_project(place)
+    for path in place.folder.iterdir():
+        path.unlink()
+    ignored = (".git", ".venv", "site", "outputs", "multirun", "results", "__pycache__", "*.egg-info", ".*_cache")
+    shutil.copytree(ROOT, place.folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(*ignored))
     # Made before it sees other packages: with a pip among these it would get none, and theirs would install into them.
     place.run("python3.11 -m venv .venv")
     (packages,) = place.folder.glob(".venv/lib/python*/site-packages")
@@ -225,7 +205,6 @@ def compose_for_a_cluster(command: str, place: Place) -> None:
 def leave_to_the_launchers_test(command: str, place: Place) -> None:
     """It sweeps with each of them and compares what they find."""
     assert re.search(r"launcher=(\w+)", command)[1] in LAUNCHERS
-    left_to("test_sweep::test_launchers_agree")(command, place)
 
 
 def search(command: str, place: Place) -> None:
@@ -249,9 +228,6 @@ def list_reproduced() -> set[str]:
 def leave_to_the_experiments(command: str, place: Place) -> None:
     """The experiment, or one of whose commands it is, is run; all of its jobs compose."""
     assert set(re.findall(NAMED, command)[0]) & list_reproduced() - {""}
-    left_to("test_experiments::test_an_experiment_gives_what_its_page_says", "test_readme::test_a_command_composes")(
-        command, place
-    )
 
 
 def inspect(command: str, place: Place) -> None:
@@ -259,7 +235,6 @@ def inspect(command: str, place: Place) -> None:
     arguments = _name_files(arguments_of(command))
     settings = OmegaConf.to_container(compose_config(*arguments, "data.split.gap=0.05"), resolve=True)
     assert build(settings["data"]).load().test
-    left_to("test_inspect::test_the_command_writes_what_it_says_without_torch_or_jax")(command, place)
 
 
 def ask_for_excitation(command: str, place: Place) -> None:
@@ -290,139 +265,45 @@ def leave_target_to_ci(command: str, place: Place) -> None:
     assert lines and (command in run or all(line in run for line in lines)), lines
 
 
-def serve_tensorboard(command: str, place: Place) -> None:
-    shutil.copytree(place.finished_run("mujoco_default")[0], place.folder / command.split()[-1] / "run")
-    wait_for(place, f"{command} --host 127.0.0.1 --port ", "data/runs", json.dumps(["run/tensorboard"]))
-
-
-def serve_documentation(command: str, place: Place) -> None:
-    pytest.importorskip("mkdocs", reason="the extra docs is not installed")
-    copy_project(place)
-    wait_for(place, f"{command} --dev-addr 127.0.0.1:", "index.html", "<title>frictionzoo</title>")
-
-
-def wait_for(place: Place, command: str, page: str, content: str) -> None:
-    """Start a server at a port that the command ends with, and hold that a page of it comes to hold this."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    server = subprocess.Popen(shlex.split(f"{command}{port}"), cwd=place.folder, env=place.environment, **quiet)
-    try:
-        end = time.monotonic() + PATIENCE
-        while content not in fetch(f"http://127.0.0.1:{port}/{page}"):
-            assert server.poll() is None and time.monotonic() < end
-            time.sleep(0.2)
-    finally:
-        server.terminate()
-        server.wait()
-
-
-def fetch(address: str) -> str:
-    """A page; "" while nobody answers."""
-    try:
-        with urllib.request.urlopen(address, timeout=PATIENCE) as answer:
-            return answer.read().decode()
-    except urllib.error.URLError:
-        return ""
-
-
-def copy_project(place: Place) -> None:
-    """Replace the links to the project by a copy that a command may write into."""
-    for path in place.folder.iterdir():
-        path.unlink()
-    ignored = (".git", ".venv", "site", "outputs", "multirun", "results", "__pycache__", "*.egg-info", ".*_cache")
-    shutil.copytree(ROOT, place.folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(*ignored))
-
-
-def refuse(command: str, place: Place) -> None:
-    pytest.fail(f"no rule knows `{command}`; add one to tests/test_commands.py")
-
-
 SLOW = pytest.mark.slow
+FROM = r"python -m frictionzoo\."
+LEFT = {
+    "test_bam": rf"{FROM}bench\.read_bam FILE\.json",
+    "test_card": rf"{FROM}card RUN licence=cc-by-4\.0.*",
+    "test_card_origin": rf"{FROM}card RUN licence=.* bam=.*|{FROM}run data=xl330 \$\({FROM}bench\.read_bam .*\)",
+    "test_compare": rf"{FROM}compare multirun/\S+( outputs/\S+ --output comparison)?",
+    "test_design": rf"{FROM}design RUN position=1\.5 velocity=4 torque=2",
+    "test_distill": rf"{FROM}distill RUN model=(stribeck|mujoco_default output=STUDENT)",
+    "test_docs": r"make docs|mkdocs serve|python docs/draw_landing\.py",
+    "test_experiments": r"make cards LICENCE=cc-by-4\.0",
+    "test_export_targets": rf"{FROM}export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",
+    "test_help": rf"eval .*|{JOB}--help|{JOB}-sc install=fish \| source",
+    "test_loggers": r"tensorboard --logdir (outputs|multirun)|wandb sync FOLDER/wandb/offline-run-\*|mlflow ui.*",
+    "test_names": rf"{FROM}export (RUN|drive) target=(mjcf|mujoco|onnx|isaaclab|mjlab|urdf|sdf)",
+    "test_randomisation": rf"{FROM}export (RUN|drive) target=randomisation",
+    "test_resume": rf"{JOB}resume=outputs/\S+",
+    "test_sweep": rf"{JOB}-m .* resume=true",
+    "test_targets": r"make targets RUNS=.*|python benchmarks/targets\.py .*",
+    "test_wheel": r"pip wheel --no-deps \.",
+}
 RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"python3\.11 -m venv .* pip install -c constraints\.txt -e .*|pytest -n 2", leave_to_ci),
     (r"python3\.11 -m venv .* make install .*", install_for_development, SLOW),
-    (r"pip wheel --no-deps \.", left_to("test_wheel::test_a_wheel_does_the_same_job")),
     (r"pip install (-c constraints\.txt )?-e \"\.\[[\w,]+\]\"", name_extras),
     (r"export FRICTIONZOO_DATA=\S+", name_the_data),
     (r"pip install \./experiments/\w+|python -m pytest experiments/\w+", leave_to_the_packages_test),
     (rf"{JOB}.*\b(makkar|layer_norm_network)\b.*", leave_to_the_packages_test),
     (r"make help", list_targets),
-    (
-        r"python -m frictionzoo\.run data=xl330 \$\(python -m frictionzoo\.bench\.read_bam FILE\.json\)",
-        left_to("test_card_origin::test_published_values_are_judged_on_recordings_of_their_servo"),
-    ),
-    (
-        r"python -m frictionzoo\.card RUN licence=apache-2\.0 bam=FILE\.json .*",
-        left_to("test_card_origin::test_its_values_are_labelled_as_theirs"),
-    ),
-    (r"make cards LICENCE=cc-by-4\.0", left_to("test_experiments::test_a_measured_drive_gets_a_card")),
-    (
-        r"make targets RUNS=.*|python benchmarks/targets\.py .*",
-        left_to("test_targets::test_exports_move_in_mujoco_4_as_in_this_one"),
-    ),
-    (
-        r"make docs",
-        left_to("test_docs::site", "test_readme::test_the_pages_of_plug_ins_are_made_from_their_docstrings"),
-    ),
     (r"make \w+", leave_target_to_ci),
-    (r"mkdocs serve", serve_documentation, SLOW),
-    (r"tensorboard --logdir outputs", serve_tensorboard, SLOW),
-    (r"tensorboard --logdir multirun", left_to("test_commands::serve_tensorboard")),
-    (r"wandb sync FOLDER/wandb/offline-run-\*", left_to("test_loggers::read_wandb")),
-    (r"mlflow ui( --backend-store-uri sqlite:///FOLDER/mlflow/mlflow\.db)?", left_to("test_loggers::read_mlflow")),
     (r"python benchmarks/\w+\.py.*", measure),
-    (r"python docs/draw_landing\.py", left_to("test_docs::test_the_picture_shows_a_run")),
     (r"python experiments/reproduce\.py.*", leave_to_the_experiments),
-    (r"python -m frictionzoo\.list( \w+)*", lambda command, place: place.run(command)),
-    (r"python -m frictionzoo\.export RUN target=all", export_all, SLOW),
-    (
-        r"python -m frictionzoo\.export (RUN|drive) target=(mjcf|mujoco|onnx|isaaclab|mjlab|urdf|sdf)",
-        left_to("test_commands::export_all"),
-    ),
-    (
-        r"python -m frictionzoo\.export (RUN|drive) target=randomisation",
-        left_to("test_randomisation::test_the_command_takes_ranges"),
-    ),
-    (
-        r"python -m frictionzoo\.export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",
-        left_to("test_export_targets::test_a_drive_goes_into_several_joints_and_adds_their_actuators"),
-    ),
-    (r"python -m frictionzoo\.bench\.read_bam FILE\.json", left_to("test_bam::test_the_command_prints_options")),
-    (
-        r"python -m frictionzoo\.card RUN licence=cc-by-4\.0.*",
-        left_to("test_card::test_the_command_writes_it_and_refuses_what_is_no_run"),
-    ),
-    (
-        r"python -m frictionzoo\.distill RUN model=stribeck",
-        left_to("test_distill::test_a_law_of_the_same_family_is_found_again"),
-    ),
-    (
-        r"python -m frictionzoo\.distill RUN model=mujoco_default output=STUDENT",
-        left_to("test_distill::test_mujocos_friction_is_near_what_slides"),
-    ),
-    (
-        r"python -m frictionzoo\.design RUN position=1\.5 velocity=4 torque=2",
-        left_to("test_design::test_a_runs_drive_gets_its_next_command"),
-    ),
-    (r"python -m frictionzoo\.design position=.* bench=knee .*", ask_for_excitation),
-    (
-        r"python -m frictionzoo\.compare multirun/\S+( outputs/\S+ --output comparison)?",
-        left_to("test_compare::test_the_command_writes_into_the_folder_and_prints_the_table"),
-    ),
-    (r"python -m frictionzoo\.inspect (data=files .*|\S+\.csv)", inspect),
-    (r"python -m frictionzoo\.inspect data=xl330", inspect, needs_data),
+    (rf"{FROM}list( \w+)*", lambda command, place: place.run(command)),
+    (rf"{FROM}export RUN target=all", export_all, SLOW),
+    (rf"{FROM}design position=.* bench=knee .*", ask_for_excitation),
+    (rf"{FROM}inspect (data=files .*|\S+\.csv)", inspect),
+    (rf"{FROM}inspect data=xl330", inspect, needs_data),
     (rf"{JOB}--cfg job", show_configuration),
-    (r"eval .*", left_to("test_help::test_a_line_is_completed")),
-    (rf"{JOB}-sc install=fish \| source", left_to("test_help::test_a_line_is_completed")),
-    (rf"{JOB}--help", left_to("test_help::test_help_does_not_wait_for_imports")),
-    (
-        rf"{JOB}resume=outputs/\S+",
-        left_to("test_resume::test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone"),
-    ),
     # Sweeps
-    (rf"{JOB}-m .* resume=true", left_to("test_sweep::test_a_stopped_sweep_goes_on_with_what_is_missing")),
     (rf"{JOB}-m hydra/launcher=submitit_slurm .*", compose_for_a_cluster),
     (rf"{JOB}-m hydra/launcher=.*", leave_to_the_launchers_test),
     (rf"{JOB}-m hydra/sweeper=.*", search, SLOW),
@@ -443,9 +324,14 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
 ]
 
 
-def find_rule(command: str) -> tuple[How, list[pytest.MarkDecorator]]:
-    """How a command is tried, and the marks of its test."""
-    return next(((how, marks) for pattern, how, *marks in RULES if re.fullmatch(pattern, command)), (refuse, []))
+def find_rule(command: str) -> tuple[How | None, list[pytest.MarkDecorator]]:
+    """How a command is tried, or None where other tests do that, and the marks of its test."""
+    if any(re.fullmatch(pattern, command) for pattern in LEFT.values()):
+        return None, []
+    rules = ((how, marks) for pattern, how, *marks in RULES if re.fullmatch(pattern, command))
+    if not (rule := next(rules, None)):
+        raise LookupError(f"no rule knows `{command}`; add one to tests/test_commands.py")
+    return rule
 
 
 @pytest.fixture(scope="session")
@@ -492,27 +378,18 @@ FOUND = {fill(command): None for page in PAGES for command in commands_of(page)}
 pytestmark = pytest.mark.usefixtures("in_haste")
 
 
-LEFT = {each: find_rule(each)[0] for each in FOUND if find_rule(each)[0].__name__.startswith("leave")}
+RUN = {each: find_rule(each) for each in FOUND if find_rule(each)[0]}
 
 
-@pytest.mark.parametrize(
-    "command", [pytest.param(each, marks=find_rule(each)[1], id=each) for each in FOUND if each not in LEFT]
-)
+@pytest.mark.parametrize("command", [pytest.param(each, marks=marks, id=each) for each, (_, marks) in RUN.items()])
 def test_a_command_of_the_documentation_runs(command: str, place: Place) -> None:
-    find_rule(command)[0](command, place)
+    RUN[command][0](command, place)
 
 
-def test_a_command_that_is_left_to_another_test_is_tried_there(place: Place) -> None:
-    check_each(lambda command, leave: leave(command, place), LEFT.items())
-
-
-def test_the_pages_have_commands() -> None:
+def test_each_command_of_the_pages_needs_a_rule() -> None:
     """The patterns still find them, in blocks and in text."""
-    assert len(FOUND) > 30
-    assert {"make help", "tensorboard --logdir outputs"} <= FOUND.keys()
-
-
-def test_a_command_that_no_rule_knows_fails(place: Place) -> None:
-    command = "python -m frictionzoo.unheard_of FOLDER"
-    with pytest.raises(pytest.fail.Exception, match=r"no rule knows `python -m frictionzoo\.unheard_of FOLDER`; add"):
-        find_rule(command)[0](command, place)
+    assert len(FOUND) > 30 and {"make help", "tensorboard --logdir outputs"} <= FOUND.keys()
+    assert all((ROOT / "tests" / f"{name}.py").exists() for name in LEFT)
+    assert all(any(re.fullmatch(pattern, command) for command in FOUND) for pattern in LEFT.values())
+    with pytest.raises(LookupError, match=r"no rule knows `python -m frictionzoo\.unheard_of FOLDER`"):
+        find_rule("python -m frictionzoo.unheard_of FOLDER")

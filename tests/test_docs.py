@@ -73,27 +73,19 @@ def test_a_link_between_pages_leads_to_a_place_on_the_site(site: Path) -> None:
     assert followed > 100
 
 
-def test_the_readme_is_the_front_page_with_links_of_the_site(site: Path) -> None:
-    text = (site / "index.html").read_text()
-    assert "<code>FRICTIONZOO_DATA</code>" in text and "README.md" not in text
-    assert 'href="data.html"' in text and 'href="CONTRIBUTING.html"' in text and (site / "landing.svg").exists()
-    text = (site / "data.html").read_text()
-    assert "Identify a drive" in text
-    assert 'href="experiments/emps/index.html"' in text and 'href="notebooks/quickstart.html"' in text
-
-
-def test_the_front_page_and_the_menu_lead_every_reader_to_a_tutorial(site: Path) -> None:
-    text, tutorials = (site / "index.html").read_text(), {*(ROOT / "docs" / "tutorials").glob("*.md")}
-    linked = re.findall(r'href="?tutorials/(\w+)\.html', text.partition("<article")[2].partition("</article>")[0])
-    assert {*linked} == {path.stem for path in tutorials} and len(tutorials) >= 5
+def test_the_readme_is_the_front_page_and_leads_every_reader_to_a_tutorial(site: Path) -> None:
+    front, data = ((site / f"{name}.html").read_text() for name in ("index", "data"))
+    assert "<code>FRICTIONZOO_DATA</code>" in front and "README.md" not in front and "Identify a drive" in data
+    assert 'href="data.html"' in front and 'href="CONTRIBUTING.html"' in front and (site / "landing.svg").exists()
+    assert 'href="experiments/emps/index.html"' in data and 'href="notebooks/quickstart.html"' in data
+    linked = re.findall(r'href="?tutorials/(\w+)\.html', front.partition("<article")[2].partition("</article>")[0])
+    assert {*linked} == {path.stem for path in (ROOT / "docs" / "tutorials").glob("*.md")} and len({*linked}) >= 5
 
 
 def test_the_picture_shows_a_run(finished_run: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    picture = load("draw_landing", monkeypatch)
-    fit = fz.load(finished_run("mujoco_default")[0])
-    position, error = picture.draw(
-        replace(fit, result=fit.result | {"data": fit.result["data"] | {"origin": "simulated"}})
-    ).axes
+    picture, fit = load("draw_landing", monkeypatch), fz.load(finished_run("mujoco_default")[0])
+    simulated = fit.result | {"data": fit.result["data"] | {"origin": "simulated"}}
+    position, error = picture.draw(replace(fit, result=simulated)).axes
     measured, without, found = (line.get_ydata() for line in position.lines)
     assert np.array_equal(measured, fit.curves.measured_qpos[0, 1 :: picture.EVERY, 0])
     assert np.array_equal(found, fit.curves.qpos[0, :: picture.EVERY, 0])
@@ -103,27 +95,22 @@ def test_the_picture_shows_a_run(finished_run: Callable, monkeypatch: pytest.Mon
     assert len(drawn) < 150_000 and "<image" not in drawn and "fill: #ffffff" in drawn  # legible on any page
 
 
-@pytest.mark.parametrize(
-    ("text", "latex"),
-    [
-        ("c dz/dt - F w / sqrt(w^2)", r"c\,\frac{\mathrm{d}z}{\mathrm{d}t} - \frac{F\,w}{\sqrt{w^{2}}}"),
-        ("|F_+| <= (a + b) / (2 c) |v|", r"\left| F_{+} \right| \le \frac{a + b}{2\,c}\,\left| v \right|"),
-        (
-            "(a) (b) / 2,  t_long^sign(v)",
-            r"\frac{\left( a \right)\,\left( b \right)}{2} ,\  \quad "
-            r"t_{\text{long}}^{\operatorname{sign}\left( v \right)}",
-        ),
-        ("f'(x) = damping v for v > 0", r"f'\left( x \right) = \text{damping}\ v\ \text{for}\ v > 0"),
-    ],
-)
-def test_an_equation_in_plain_text_is_typeset(text: str, latex: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert load("equations", monkeypatch).to_fences(text) == f"```math\n{latex}\n```"
+EQUATIONS = {
+    "c dz/dt - F w / sqrt(w^2)": r"c\,\frac{\mathrm{d}z}{\mathrm{d}t} - \frac{F\,w}{\sqrt{w^{2}}}",
+    "|F_+| <= (a + b) / (2 c) |v|": r"\left| F_{+} \right| \le \frac{a + b}{2\,c}\,\left| v \right|",
+    "(a) (b) / 2,  t_long^sign(v)": r"\frac{\left( a \right)\,\left( b \right)}{2} ,\  \quad "
+    r"t_{\text{long}}^{\operatorname{sign}\left( v \right)}",
+    "f'(x) = damping v for v > 0": r"f'\left( x \right) = \text{damping}\ v\ \text{for}\ v > 0",
+}
 
 
-@pytest.mark.parametrize("text", ["(a", "a)", "|a", "a /", "x^"])
-def test_half_an_equation_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ValueError, match="in '"):
-        load("equations", monkeypatch).to_fences(text)
+def test_an_equation_in_plain_text_is_typeset_and_half_a_one_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    to_fences = load("equations", monkeypatch).to_fences
+    for text, latex in EQUATIONS.items():
+        assert to_fences(text) == f"```math\n{latex}\n```"
+    for half in ("(a", "a)", "|a", "a /", "x^"):
+        with pytest.raises(ValueError, match="in '"):
+            to_fences(half)
 
 
 def test_the_equations_of_all_laws_are_typeset_on_the_site(site: Path) -> None:
@@ -140,26 +127,23 @@ def test_every_module_that_is_an_interface_is_in_the_reference(monkeypatch: pyte
     named = {name for page in pages for name in re.findall(r"^::: (\S+)$", page, re.M)}
     for path in (ROOT / "frictionzoo").rglob("*.py"):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        defined = [
-            node for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef | ast.ClassDef)
-        ]
-        inner = not INNER.isdisjoint(module.split("."))
-        if any(not node.name.startswith("__") for node in defined) and not inner:
+        body = ast.parse(path.read_text()).body
+        names = [node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        if INNER.isdisjoint(module.split(".")) and any(not name.startswith("__") for name in names):
             assert module in named, f"add ::: {module} to a page of docs/api/"
+
+
+def leaves(node: dict, prefix: str) -> set[str]:
+    inner = [leaves(v, f"{prefix}{k}.") if isinstance(v, dict) and v else {f"{prefix}{k}"} for k, v in node.items()]
+    return set().union(*inner)
 
 
 def options_of(path: Path) -> set[str]:
     """Every option of a file of conf/, as OmegaConf reads it."""
-
-    def leaves(node: dict, prefix: str) -> set[str]:
-        inner = [leaves(v, f"{prefix}{k}.") if isinstance(v, dict) and v else {f"{prefix}{k}"} for k, v in node.items()]
-        return set().union(*inner)
-
     content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
     content.pop("defaults", None)
-    group = path.parent.relative_to(CONF_DIR).as_posix().replace("/", ".")
     package = re.search(r"# @package (\S+)", path.read_text())
-    prefix = package[1] if package else group
+    prefix = package[1] if package else path.parent.relative_to(CONF_DIR).as_posix().replace("/", ".")
     return leaves(content, "" if prefix in (".", "_global_") else f"{prefix}.")
 
 

@@ -3,6 +3,7 @@
 import ast
 import builtins
 import contextlib
+import functools
 import itertools
 import os
 import shutil
@@ -24,25 +25,16 @@ from frictionzoo.cli.finished import design as excite
 from frictionzoo.cli.inspect import inspect_data
 from frictionzoo.cli.resume import recorded
 from frictionzoo.cli.student import distill
+from frictionzoo.core import output
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import OutputError
 from frictionzoo.core.manifest import MANIFEST, Manifest
-from frictionzoo.core.output import (
-    LOGGERS,
-    RUN_FILES,
-    RUNNING,
-    claim,
-    occupy,
-    remove_written,
-    take_place,
-    write_atomically,
-)
+from frictionzoo.core.output import LOGGERS, RUN_FILES, RUNNING
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit.loggers import Csv, TensorBoard
 from frictionzoo.report.card.write import write_card
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
-EXAMPLES = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 LICENCE = {"licence": "cc-by-4.0"}
 PART = ".result.json.0123456789abcdef.part"
 
@@ -119,10 +111,16 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
+def write(folder: Path, files: dict[str, bytes]) -> None:
+    for name, content in files.items():
+        output.write_atomically(folder / name, content)
+
+
 def write_run(folder: Path, files: dict[str, bytes]) -> None:
     """What a job does with its folder, in its order, with the files of a finished one."""
     record = {folder / name: content for name, content in files.items() if name.startswith(".hydra/")}
-    with occupy(folder, wait=False, names=RUN_FILES, inside=LOGGERS - {"wandb"}) as manifest, recorded(record):
+    inside = LOGGERS - {"wandb"}
+    with output.occupy(folder, wait=False, names=RUN_FILES, inside=inside) as manifest, recorded(record):
         for logger in (TensorBoard(), Csv()):
             log = logger.start(folder, {"model": "lugre"})
             log.log_metrics({"loss": 1.0}, 0)
@@ -130,31 +128,23 @@ def write_run(folder: Path, files: dict[str, bytes]) -> None:
             log.log_metrics({"loss": 0.5}, 1)
             logger.finish(2, {"fit/loss": 0.5}, [], "all of it")
         manifest.remove("result.json")
-        for name, content in files.items():
-            write_atomically(folder / name, content)
+        write(folder, files)
 
 
 def write_comparison(folder: Path, files: dict[str, bytes]) -> None:
-    with claim(folder, "comparison", COMPARISON):
-        for name, content in files.items():
-            write_atomically(folder / name, content)
-        remove_written(folder / "figures" / "differences.png")
+    with output.claim(folder, "comparison", COMPARISON):
+        write(folder, files)
+        output.remove_written(folder / "figures" / "differences.png")
 
 
-def write_staged(kind: str, last: str) -> Callable[[Path, dict[str, bytes]], None]:
-    def write(folder: Path, files: dict[str, bytes]) -> None:
-        with take_place(folder, kind, [last]) as fresh:
-            for name, content in files.items():
-                write_atomically(fresh / name, content)
-
-    return write
+def write_staged(kind: str, folder: Path, files: dict[str, bytes]) -> None:
+    with output.take_place(folder, kind, [f"{kind}.json"]) as fresh:
+        write(fresh, files)
 
 
-WRITERS = {
-    "run": write_run,
-    "comparison": write_comparison,
-    "card": write_staged("card", "card.json"),
-    "export": write_staged("export", "export.json"),
+WRITERS: dict[str, Callable[[Path, dict[str, bytes]], None]] = {
+    **{"run": write_run, "comparison": write_comparison},
+    **{kind: functools.partial(write_staged, kind) for kind in ("card", "export")},
 }
 
 
@@ -175,29 +165,38 @@ def draw_foreign(draw: Callable, names: list[str]) -> list[Foreign]:
     return draw(st.lists(st.builds(Foreign, name | inside, what), min_size=1, max_size=4))
 
 
+def hold(tmp_path: Path, names: list[str], write: Callable[[Path], Any], examples: int, again: bool = False) -> None:
+    """Files of these names, and of others, stay whatever is written into their folder; also when written again."""
+
+    @settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), max_examples=examples)
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        foreign = draw_foreign(data.draw, names)
+        with tempfile.TemporaryDirectory(dir=tmp_path) as place:
+            folder, outside = Path(place, "out"), Path(place, "outside")
+            folder.mkdir()
+            outside.mkdir()
+            if again and data.draw(st.booleans()):
+                write(folder)
+            with kept(folder, outside, foreign):
+                write(folder)
+
+    check()
+
+
 @pytest.mark.parametrize("examples", [12, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("command", WRITERS)
 def test_foreign_files_stay_or_the_command_refuses(
     outputs: dict[str, Path], tmp_path: Path, command: str, examples: int
 ) -> None:
-    files, names = contents(outputs[command]), names_of(outputs)
+    files = contents(outputs[command])
     files.pop("figures/differences.png", None)  # as of a comparison in which there is none to show
 
-    @settings(EXAMPLES, max_examples=examples)
-    @given(st.data())
-    def check(data: st.DataObject) -> None:
-        foreign, again = draw_foreign(data.draw, names), data.draw(st.booleans())
-        with tempfile.TemporaryDirectory(dir=tmp_path) as place:
-            folder, outside = Path(place, "out"), Path(place, "outside")
-            folder.mkdir()
-            outside.mkdir()
-            if again:
-                WRITERS[command](folder, files)
-            with kept(folder, outside, foreign):
-                WRITERS[command](folder, files)
-                assert contents(folder).items() >= files.items()
+    def write(folder: Path) -> None:
+        WRITERS[command](folder, files)
+        assert contents(folder).items() >= files.items()
 
-    check()
+    hold(tmp_path, names_of(outputs), write, examples, again=True)
 
 
 @pytest.mark.parametrize("command", WRITERS)
@@ -229,13 +228,11 @@ def test_a_finished_folder_holds_what_is_refused_beforehand(outputs: dict[str, P
 def test_a_card_in_a_clone_is_updated_and_all_else_stays(outputs: dict[str, Path], tmp_path: Path) -> None:
     run, repo = outputs["run"], tmp_path / "repo"
     shutil.copytree(outputs["card"], repo)
-    mine = [
-        Foreign(name, "file") for name in (".git/HEAD", ".git/objects/ab/cd", "notes.md", "photo.jpg", ".gitignore")
-    ]
-    put(repo, tmp_path, mine)
-    before = {each.name: (repo / each.name).read_bytes() for each in mine}
+    names = (".git/HEAD", ".git/objects/ab/cd", "notes.md", "photo.jpg", ".gitignore")
+    put(repo, tmp_path, [Foreign(name, "file") for name in names])
+    before = {name: (repo / name).read_bytes() for name in names}
     write_card(run, LICENCE | {"output": str(repo), "name": "Another title"})
-    assert before == {each.name: (repo / each.name).read_bytes() for each in mine}
+    assert before == {name: (repo / name).read_bytes() for name in names}
     assert "Another title" in (repo / "README.md").read_text()
     fz.load(repo)
     (repo / "README.md").write_text("mine")
@@ -248,16 +245,14 @@ def test_one_export_replaces_another_and_nothing_else(outputs: dict[str, Path], 
     folder = shutil.copytree(outputs["card"], tmp_path / "folder")
     (folder / "bench.py").write_text("mine")
     before = see(folder)
-    write_staged("export", "export.json")(folder, {"a.py": b"a", "export.json": b"{}"})
-    write_staged("export", "export.json")(folder, {"deep/b.py": b"b", "export.json": b"{}"})
+    for name in ("a.py", "deep/b.py"):
+        WRITERS["export"](folder, {name: b"a", "export.json": b"{}"})
     after = see(folder)
-    assert {name: content for name, content in after.items() if name in before and name != MANIFEST} == {
-        name: content for name, content in before.items() if name != MANIFEST
-    }
+    assert {name: after[name] for name in before} == before | {MANIFEST: after[MANIFEST]}
     assert after.keys() - before.keys() == {"deep", "deep/b.py", "export.json"}
 
 
-def test_what_a_killed_process_left_is_known(tmp_path: Path) -> None:
+def test_what_a_killed_process_or_a_full_disk_left_is_known(tmp_path: Path) -> None:
     """At each write of a file and of a manifest, the process ends there; the next one goes on."""
 
     class Killed(BaseException):
@@ -271,20 +266,23 @@ def test_what_a_killed_process_left_is_known(tmp_path: Path) -> None:
         manifest.append("csv/metrics.csv", b"1\n")
         manifest.write("figures/a.png", b"b" * 7)
 
-    for owner, name in ((os, "replace"), (os, "fsync"), (builtins, "open"), (Path, "mkdir")):
+    ways = itertools.product((Killed(), OSError(28, "no space")), ((os, "replace"), (os, "fsync"), (Path, "mkdir")))
+    for end, (owner, name) in (*ways, (Killed(), (builtins, "open"))):
         for moment in itertools.count():
-            folder, left, real = tmp_path / name / str(moment), [moment], getattr(owner, name)
+            folder, left, real = tmp_path / type(end).__name__ / name / str(moment), [moment], getattr(owner, name)
 
-            def kill(*arguments: Any, real: Any = real, left: list[int] = left, **more: Any) -> Any:
+            def stop(*arguments: Any, real: Any = real, left: list[int] = left, end: Any = end, **more: Any) -> Any:
                 left[0] -= 1
                 if left[0] < 0:
-                    raise Killed
+                    raise end
                 return real(*arguments, **more)
 
-            with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Killed):
-                patch.setattr(owner, name, kill)
-                patch.setattr(Path, "unlink", lambda *_, **__: None)  # a killed process cleans nothing up
+            with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Killed, OutputError):
+                patch.setattr(owner, name, stop)
+                if isinstance(end, Killed):
+                    patch.setattr(Path, "unlink", lambda *_, **__: None)  # a killed process cleans nothing up
                 work(folder)
+            assert isinstance(end, Killed) or not list(folder.glob("*.part"))
             work(folder)
             assert (folder / "figures" / "a.png").read_bytes() == b"b" * 7
             assert not list(folder.glob("*.part"))
@@ -296,11 +294,8 @@ def test_an_append_that_was_cut_short_is_known_and_a_longer_file_is_not(tmp_path
     manifest, path = Manifest(tmp_path, "run"), tmp_path / "metrics.csv"
     manifest.write("metrics.csv", b"loss\n")
     manifest.append("metrics.csv", b"1\n2\n")
-    for content, ours in (
-        *((b"loss\n1\n2\n"[:size], size >= 5) for size in range(10)),
-        (b"loss\n1\n2\n3\n", False),
-        (b"mine\n1\n", False),
-    ):
+    sizes = [(b"loss\n1\n2\n"[:size], size >= 5) for size in range(10)]
+    for content, ours in (*sizes, (b"loss\n1\n2\n3\n", False), (b"mine\n1\n", False)):
         path.write_bytes(content)
         assert Manifest(tmp_path, "run").owns("metrics.csv") == ours, content
     with (tmp_path / MANIFEST).open("ab") as file:
@@ -308,21 +303,6 @@ def test_an_append_that_was_cut_short_is_known_and_a_longer_file_is_not(tmp_path
     path.write_bytes(b"loss\n")
     Manifest(tmp_path, "run").write("metrics.csv", b"anew")
     assert Manifest(tmp_path, "run").owns("metrics.csv")
-
-
-def test_a_file_that_could_not_be_written_is_known_after_the_next_try(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: Any) -> None:
-        raise OSError(28, "no space")
-
-    manifest = Manifest(tmp_path, "run")
-    with monkeypatch.context() as patch, pytest.raises(OutputError):
-        patch.setattr("os.replace", fail)
-        manifest.write("result.json", b"{}")
-    assert not [*tmp_path.iterdir()]
-    manifest.write("result.json", b"{}")
-    assert Manifest(tmp_path, "run").owns("result.json")
 
 
 ALLOWED = {  # who may write or remove: the layer itself, and what export targets put into a scratch folder
@@ -336,20 +316,14 @@ WRITING = {"write_text", "write_bytes", "unlink", "rmdir", "rmtree", "rename", "
 
 def test_files_are_written_and_removed_in_one_place() -> None:
     for path in PACKAGE.rglob("*.py"):
-        if path.relative_to(PACKAGE).as_posix() in ALLOWED:
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            name = getattr(node.func, "attr", getattr(node.func, "id", "")) if isinstance(node, ast.Call) else ""
-            if name not in (*WRITING, "replace", "copy", "move", "open"):
-                continue
-            assert isinstance(node, ast.Call)
-            called, given_to = ast.unparse(node.func), [ast.unparse(each) for each in node.args]
-            where = f"{path}: {ast.unparse(node)}"
+        calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        for node in calls if path.relative_to(PACKAGE).as_posix() not in ALLOWED else ():
+            called, given_to = ast.unparse(node.func), {*map(ast.unparse, node.args)}
+            name, where = called.rpartition(".")[2], f"{path}: {ast.unparse(node)}"
             assert name not in WRITING or "buffer" in given_to, where
             assert called not in ("os.replace", "shutil.copy", "shutil.move"), where
-            assert (
-                name != "open" or "os.devnull" in given_to or not {"'w'", "'wb'", "'a'", "'ab'", "'xb'"} & {*given_to}
-            ), where
+            reads = "os.devnull" in given_to or not {"'w'", "'wb'", "'a'", "'ab'", "'xb'"} & given_to
+            assert name != "open" or reads, where
 
 
 @pytest.mark.parametrize(
@@ -425,15 +399,4 @@ def test_foreign_files_stay_whatever_a_command_does(
         "distill": lambda folder: distill(run, {"model": "mujoco_default", "output": str(folder)}),
     }
 
-    @settings(EXAMPLES, max_examples=8)
-    @given(st.data())
-    def check(data: st.DataObject) -> None:
-        foreign = draw_foreign(data.draw, names)
-        with tempfile.TemporaryDirectory(dir=tmp_path) as place:
-            folder, outside = Path(place, "out"), Path(place, "outside")
-            folder.mkdir()
-            outside.mkdir()
-            with kept(folder, outside, foreign):
-                commands[command](folder)
-
-    check()
+    hold(tmp_path, names, commands[command], examples=8)

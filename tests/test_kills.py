@@ -24,13 +24,14 @@ from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.models import register_model
 from frictionzoo.models.registry import REGISTRY
 
+HERE = "hydra.run.dir=run"
 JOBS = {
-    "adam": ("model=coulomb_smooth", "fit.iterations=40"),
-    "lm": ("model=coulomb_stribeck", "fit=lm", "loop.chunk=1"),
-    "grid": ("model=coulomb_smooth", "fit=grid", "fit.points=3"),
-    "network": ("model=neural_friction", "model.hidden=[4,4]", "segments.length=3", "fit.iterations=20"),
-    "torch": ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "fit.iterations=20"),
-    "sweep": ("-m", "model=baseline,coulomb_smooth", "fit.iterations=10"),
+    "adam": (HERE, "model=coulomb_smooth", "fit.iterations=40"),
+    "lm": (HERE, "model=coulomb_stribeck", "fit=lm", "loop.chunk=1"),
+    "grid": (HERE, "model=coulomb_smooth", "fit=grid", "fit.points=3"),
+    "network": (HERE, "model=neural_friction", "model.hidden=[4,4]", "segments.length=3", "fit.iterations=20"),
+    "torch": (HERE, "model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "fit.iterations=20"),
+    "sweep": ("-m", "hydra.sweep.dir=run", "model=baseline,coulomb_smooth", "fit.iterations=10"),
 }
 DONE = {0, NOT_IDENTIFIED}
 STATUS = {  # of a program that was ended so after it had begun, and before it had
@@ -73,7 +74,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, compilation_cache: Pat
     def undisturbed(job: str) -> Path:
         home = tmp_path_factory.mktemp(job)
         with contextlib.chdir(home), job_settings(compilation_cache):
-            finished = run_main(*JOBS[job], *tiny, *folder_option(job))
+            finished = run_main(*JOBS[job], *tiny)
         assert finished.status in DONE, finished.err
         return home / "run"
 
@@ -87,17 +88,10 @@ def prepared(monkeypatch: pytest.MonkeyPatch, unrendered: None) -> None:
     register_model("torch_stribeck")(TorchStribeck)
 
 
-def folder_option(job: str) -> tuple[str]:
-    return ("hydra.sweep.dir=run" if job == "sweep" else "hydra.run.dir=run",)
-
-
 def results(folder: Path) -> dict[str, bytes]:
     """What has to come out again, by file; of `result.json` and `comparison.json`, all but the times."""
-    found = {}
-    for name in ("result.json", "comparison/comparison.json", "friction.safetensors", "identified.xml"):
-        for path in folder.rglob(name):
-            found[str(path.relative_to(folder))] = without_times(path)
-    return found
+    names = ("result.json", "comparison/comparison.json", "friction.safetensors", "identified.xml")
+    return {str(path.relative_to(folder)): without_times(path) for name in names for path in folder.rglob(name)}
 
 
 def without_times(path: Path) -> bytes:
@@ -140,7 +134,7 @@ def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
     delay: float,
 ) -> None:
     expected = results(undisturbed(job))
-    folder, command = tmp_path / "run", (*JOBS[job], *tiny, *folder_option(job))
+    folder, command = tmp_path / "run", (*JOBS[job], *tiny)
     place = folder / "1_coulomb_smooth" if job == "sweep" and stage else folder
     # Compiled functions are read and not written: JAX leaves half a file where it is ended.
     variables = {
@@ -165,9 +159,9 @@ def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
 
 def assert_says_how_to_go_on(err: str, how: str, folder: Path) -> None:
     """One line says it, and no temporary file is left."""
-    (said,) = [line for line in err.splitlines() if line.startswith("frictionzoo: ")]
+    (line,) = [line for line in err.splitlines() if line.startswith("frictionzoo: ")]
     assert "Traceback" not in err and "Error" not in err, err
-    assert how == "full disk" or f"stopped by {how}; " in said
+    assert how == "full disk" or f"stopped by {how}; " in line
     kept = [path for path in folder.rglob(".hydra/settings.json") if path.stat().st_size]
-    assert said.endswith((f"resume={folder}", "resume=true") if kept else "; nothing is kept; run it again")
+    assert line.endswith((f"resume={folder}", "resume=true") if kept else "; nothing is kept; run it again")
     assert not list(folder.rglob("*.part"))

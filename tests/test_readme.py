@@ -11,39 +11,21 @@ import pytest
 from conftest import check_each, pytest_runtest_setup
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
-from pages import PACKAGE, PAGES, ROOT, blocks_of, expand, inline_of
+from pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
 
 from frictionzoo.cli.commands import COMMANDS
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options
 
 FLAGS = {"-m", "--cfg", "job", "--help"}
-PLACEHOLDER = re.compile(r"[A-Z]{3}")  # FOLDER, NAME, DATE: what a reader has to fill in
-
-
-def jobs_of(page):
-    """The arguments of each command that starts a job, from bash blocks and from inline code."""
-    commands = [
-        part for text in [*blocks_of(page), *inline_of(page)] for line in text.splitlines() for part in line.split("&&")
-    ]
-    starts = ("python -m frictionzoo.run ", "frictionzoo ")
-    others = (*(f"frictionzoo {name}" for name in COMMANDS), "frictionzoo -sc ")  # the last completes lines of shells
-    for command in map(str.strip, commands):
-        start = next((start for start in starts if command.startswith(start)), None)
-        if start and not command.startswith(others):
-            yield shlex.split(command.removeprefix(start))
-
-
-def options_of(page):
-    """Dotted names in inline code that are followed by a value: `segments.length=5`."""
-    return set(re.findall(r"`([a-z_]+(?:\.[a-z_]+)+)=[^`]*`", page.read_text()))
-
-
+# Not jobs: other commands, completion of a shell's lines, and what a reader has to fill in, such as FOLDER.
+START, OTHER = r"(?:python -m frictionzoo\.run|frictionzoo) ", re.compile(rf"({'|'.join(COMMANDS)}|-sc)\b|.*[A-Z]{{3}}")
 JOBS = {
-    shlex.join(job): page
+    job[1]: page
     for page in PAGES
     if page.parent != PACKAGE
-    for job in jobs_of(page)
-    if not any(map(PLACEHOLDER.search, job))
+    for command in commands_of(page)
+    for job in map(re.compile(rf"{START}(.+)").fullmatch, map(str.strip, command.split("&&")))
+    if job and not OTHER.match(job[1])
 }
 compose_once = functools.cache(compose_config)  # pages share most of what they choose; nothing here changes it
 
@@ -75,7 +57,7 @@ def test_a_command_composes():
 
 
 def test_a_named_option_exists():
-    """In the files of conf/, an option or a section."""
+    """Options in inline code that are followed by a value, `segments.length=5`, and their sections, in conf/."""
     known = set()
     for path in CONF_DIR.glob("**/*.yaml"):
         package = re.match(r"# @package (\S+)", path.read_text())
@@ -83,39 +65,35 @@ def test_a_named_option_exists():
         file = OmegaConf.to_container(OmegaConf.load(path))
         for key, _ in list_options(file, "" if own == "_global_" or path.parent == CONF_DIR else f"{own}."):
             known |= set(itertools.accumulate(key.split("."), "{}.{}".format))
-    named = [(str(page), option) for page in PAGES for option in options_of(page)]
-    wrong = [each for each in named if each[1] not in known and not each[1].startswith("hydra.")]
-    assert not wrong, wrong
+    for page in PAGES:
+        named = set(re.findall(r"`([a-z_]+(?:\.[a-z_]+)+)=[^`]*`", page.read_text()))
+        assert not [option for option in named - known if not option.startswith("hydra.")], page
 
 
-@pytest.mark.parametrize("group, page", [("data", "data"), ("logger", "fits"), ("fit", "fits"), ("experiment", "run")])
-def test_a_page_lists_every_choice(group, page):
-    text = (ROOT / "docs" / f"{page}.md").read_text()
-    for path in (CONF_DIR / group).glob("*.yaml"):
-        assert re.search(rf"[`\[]{path.stem}[`\]]", text), path.stem
+def test_a_page_lists_every_choice():
+    for group, page in (("data", "data"), ("logger", "fits"), ("fit", "fits"), ("experiment", "run")):
+        listed = {*re.findall(r"(?<=[`\[])\w+(?=[`\]])", (ROOT / "docs" / f"{page}.md").read_text())}
+        assert {path.stem for path in (CONF_DIR / group).glob("*.yaml")} <= listed
 
 
 def test_a_link_inside_the_project_leads_somewhere():
-    links = [(page, link) for page in PAGES for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())]
-    wrong = [(str(page), link) for page, link in links if not (page.parent / link).exists()]
-    assert not wrong, wrong
+    for page in PAGES:
+        links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())
+        assert not [link for link in links if not (page.parent / link).exists()], page
 
 
-@pytest.mark.parametrize("number", [1, 2])
-def test_ci_runs_the_first_blocks_of_the_readme_as_they_stand(number):
+def test_ci_runs_the_first_blocks_of_the_readme_as_they_stand():
+    def show(number):
+        return subprocess.run([ROOT / ".ci" / "readme_command", str(number)], capture_output=True, text=True)
+
     first, second = blocks_of(ROOT / "README.md")[:2]
     assert first.endswith("python -m frictionzoo.run model=coulomb_stribeck")
     assert '".[test]"' in second and "pytest" in second
-    shown = subprocess.run([ROOT / ".ci" / "readme_command", str(number)], capture_output=True, text=True, check=True)
-    assert shown.stdout.strip() == (first, second)[number - 1]
     ci = (ROOT / ".ci" / "run").read_text()
-    assert '.ci/readme_command "$1"' in ci and f"run_readme_command {number}" in map(str.strip, ci.splitlines())
-
-
-def test_a_missing_block_of_the_readme_stops_ci():
-    shown = subprocess.run([ROOT / ".ci" / "readme_command", "99"], capture_output=True, text=True)
-    assert shown.returncode == 1
-    assert "no bash block number 99" in shown.stderr
+    assert '.ci/readme_command "$1"' in ci
+    for number, block in enumerate((first, second), 1):
+        assert show(number).stdout.strip() == block and f"\nrun_readme_command {number}\n" in ci
+    assert show(99).returncode == 1 and "no bash block number 99" in show(99).stderr
 
 
 def test_tests_end_in_time_where_a_time_is_set(monkeypatch: pytest.MonkeyPatch):
@@ -125,27 +103,18 @@ def test_tests_end_in_time_where_a_time_is_set(monkeypatch: pytest.MonkeyPatch):
         pytest_runtest_setup()
 
 
-def test_the_schemas_of_json_files_are_made_from_their_types():
-    script = runpy.run_path(str(ROOT / "docs" / "write_schema.py"))
-    for name in script["TYPES"]:
-        same = script["find_path"](name).read_text() == script["lay_out"](script["make_schema"](name)) + "\n"
-        assert same, f"{name}.schema.json: run `make docs`"
-
-
-def test_the_pages_of_json_files_are_made_from_their_schemas():
-    script = runpy.run_path(str(ROOT / "docs" / "write_result.py"))
+def test_what_make_docs_writes_is_up_to_date(monkeypatch: pytest.MonkeyPatch):
+    """The schemas of JSON files from their types, their pages from the schemas, pages of plug-ins from docstrings."""
+    monkeypatch.syspath_prepend(docs := ROOT / "docs")
+    schema, result, plugins = (runpy.run_path(f"{docs}/write_{name}.py") for name in ("schema", "result", "plugins"))
     schemas = {path.name.removesuffix(".schema.json") for path in (ROOT / "frictionzoo").rglob("*.schema.json")}
-    assert schemas == set(script["SCHEMAS"])
-    for name in script["SCHEMAS"]:
-        assert (ROOT / "docs" / f"{name}.md").read_text() == script["render"](name), "run `make docs`"
-
-
-def test_the_pages_of_plug_ins_are_made_from_their_docstrings(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(ROOT / "docs")
-    for name, render in runpy.run_path(str(ROOT / "docs" / "write_plugins.py"))["PAGES"].items():
-        text = (ROOT / "docs" / f"{name}.md").read_text()
-        same = text == render(text)
-        assert same, f"docs/{name}.md: run `make docs`"
+    assert schemas == {*result["SCHEMAS"]}
+    find, make, lay_out = (schema[name] for name in ("find_path", "make_schema", "lay_out"))
+    pages = {docs / f"{name}.md": render for name, render in plugins["PAGES"].items()}
+    made = {find(name): lay_out(make(name)) + "\n" for name in schema["TYPES"]}
+    made |= {docs / f"{name}.md": result["render"](name) for name in schemas}
+    made |= {page: render(page.read_text()) for page, render in pages.items()}
+    assert not [path for path, text in made.items() if path.read_text() != text], "run `make docs`"
 
 
 def test_the_page_of_models_has_a_row_and_a_section_for_each():
@@ -156,11 +125,9 @@ def test_the_page_of_models_has_a_row_and_a_section_for_each():
 
 
 def test_constraints_are_exact_and_cover_what_the_project_asks_for():
-    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
-    pins = {name.lower().replace("_", "-"): version for name, version in (line.split("==") for line in lines)}
+    pins = dict(re.findall(r"^([\w.-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), re.M))
+    names = {name.lower().replace("_", "-") for name in pins}
     assert not [version for version in pins.values() if "+" in version]  # a local build is not on PyPI
-    asked = re.findall(
-        r'"([A-Za-z][\w-]*)(?:[<>=~][^"]*)"', (ROOT / "pyproject.toml").read_text().split("[project.scripts]")[0]
-    )
-    assert len(asked) > 20
-    assert not [name for name in asked if name.lower() not in pins and name != "hatchling"]
+    project = (ROOT / "pyproject.toml").read_text().split("[project.scripts]")[0]
+    asked = {name.lower() for name in re.findall(r'"([A-Za-z][\w-]*)[<>=~][^"]*"', project)}
+    assert len(asked) > 20 and asked - names == {"hatchling"}

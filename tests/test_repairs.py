@@ -1,6 +1,5 @@
 """A finding's repair is the first command, complete and runnable; a result that is not to be used goes nowhere."""
 
-import copy
 import json
 import shlex
 from collections.abc import Callable
@@ -24,6 +23,13 @@ from frictionzoo.result.verdict import DO_NOT_USE, is_usable, judge
 
 KP, KD = 20 * 0.151, 0.151  # N m/rad, N m s/rad
 HARDWARE = ("frictionzoo.export", ".export(", "frictionzoo.design", "excite(")
+COMMANDS = {
+    "repair": "python -m frictionzoo.run bench.actuator.params.kp.init=3",
+    "inspect": "python -m frictionzoo.inspect",
+    "law": "python -m frictionzoo.run model=ripple",
+    "recording": "python -m frictionzoo.design a torque=8.4",
+    "export": "python -m frictionzoo.export a",
+}
 Run = Callable[[str], tuple[Path, Finished]]
 
 
@@ -51,19 +57,18 @@ def options_of(recording: Path, *more: str) -> list[str]:
     return ["data=files", "bench=knee", f"data.train=[{recording}]", "data.split.gap=0.05", "recipe=given", *more]
 
 
-def doubts_of(options: list[str]) -> tuple[Any, Bench, dict[str, Any]]:
-    settings: Any = OmegaConf.to_container(compose_config(*options), resolve=True)
-    given = Given.read(settings)
-    return check_up(given.bench.accept_all(given.dataset), given.bench, "warn"), given.bench, given.settings
+def doubts_of(options: list[str]) -> tuple[Any, Given]:
+    given = Given.read(OmegaConf.to_container(compose_config(*options), resolve=True))
+    return check_up(given.bench.accept_all(given.dataset), given.bench, "warn"), given
 
 
 def test_a_factor_of_the_gains_is_a_repair_that_ends_the_finding(weak: Path) -> None:
-    doubts, bench, settings = doubts_of(options_of(weak))
+    doubts, given = doubts_of(options_of(weak))
     (doubt,) = [doubt for doubt in doubts if "kp and kd to" in doubt.text]
-    options = complete_options(doubt.repairs, bench, settings)
+    options = complete_options(doubt.repairs, given.bench, given.settings)
     assert list(options) == ["bench.actuator.params.kp.init", "bench.actuator.params.kd.init"]
     assert [*options.values()] == pytest.approx([KP, KD], rel=0.1)
-    repaired, _, _ = doubts_of(options_of(weak, *(f"{name}={value}" for name, value in options.items())))
+    repaired, _ = doubts_of(options_of(weak, *(f"{name}={value}" for name, value in options.items())))
     assert not any(doubt.repairs for doubt in repaired)
 
 
@@ -89,38 +94,22 @@ def test_the_first_command_is_the_repair_and_runs(call: Callable[..., Finished],
     assert armature == pytest.approx(0.02, rel=0.3)
 
 
-def spoil(finished_run: Run) -> dict[str, Any]:
-    """A run whose drive ended at bounds, and the commands that it would suggest otherwise."""
-    result = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
-    spoilt = copy.deepcopy(result) | {"not_identified": ["friction ended at its bounds", "gains"]}
-    rows = {"inspect": "python -m frictionzoo.inspect", "law": "python -m frictionzoo.run model=ripple"}
-    rows |= {"recording": "python -m frictionzoo.design a torque=8.4", "export": "python -m frictionzoo.export a"}
-    commands: Any = [{"kind": kind, "command": command} for kind, command in rows.items()]
-    return spoilt | {"verdict": judge(spoilt, commands)}  # pyright: ignore
-
-
 @pytest.mark.parametrize("repair", [False, True])
 def test_what_is_not_to_be_used_goes_neither_to_hardware_nor_elsewhere(finished_run: Run, repair: bool) -> None:
-    result: Any = spoil(finished_run)
-    assert result["verdict"]["grade"] == DO_NOT_USE and not is_usable(result)
-    assert [row["kind"] for row in result["verdict"]["commands"]] == ["inspect"]
+    """And a run with a repair designs no recording."""
+    usable: Any = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
+    rows: Any = [{"kind": kind, "command": command} for kind, command in COMMANDS.items() if repair or kind != "repair"]
+    kept = judge(usable | {"not_identified": None}, rows)
+    assert kept["grade"] != DO_NOT_USE
     if repair:
-        mended = {"kind": "repair", "command": "python -m frictionzoo.run bench.actuator.params.kp.init=3"}
-        result["verdict"] = judge(result, [mended, *result["verdict"]["commands"]])  # pyright: ignore
-        assert [row["kind"] for row in result["verdict"]["commands"]] == ["repair", "inspect"]
-    for shown in (summarise(result, None), "\n".join(list_uses("a", is_usable(result)))):
+        assert [row["kind"] for row in kept["commands"]] == ["repair", "law", "export"]
+    spoilt: Any = usable | {"not_identified": ["friction ended at its bounds", "gains"]}
+    spoilt["verdict"] = judge(spoilt, rows)
+    assert spoilt["verdict"]["grade"] == DO_NOT_USE and not is_usable(spoilt)
+    assert [row["kind"] for row in spoilt["verdict"]["commands"]] == [*["repair"] * repair, "inspect"]
+    for shown in (summarise(spoilt, None), "\n".join(list_uses("a", is_usable(spoilt)))):
         assert not any(word in shown for word in HARDWARE)
     assert any("frictionzoo.export" in line for line in list_uses("a"))
-
-
-def test_a_run_with_a_repair_designs_no_recording(finished_run: Run) -> None:
-    result: Any = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
-    kinds = ("repair", "inspect", "law", "recording", "export")
-    rows: Any = [{"kind": kind, "command": kind} for kind in kinds]
-    usable = result | {"not_identified": None}
-    grade = judge(usable, rows)
-    assert grade["grade"] != DO_NOT_USE
-    assert [row["kind"] for row in grade["commands"]] == ["repair", "law", "export"]
 
 
 def test_a_repair_of_one_joint_keeps_what_the_others_have(two_joints: Bench) -> None:

@@ -19,6 +19,7 @@ from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.models.registry import REGISTRY
 
 DOCS = ROOT / "docs"
+pytestmark = pytest.mark.usefixtures("in_haste")
 STAND = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><worldbody><body>
 <joint name="shaft" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.3"/>
 </body></worldbody></mujoco>"""
@@ -46,23 +47,18 @@ def write_robots(folder: Path) -> None:
     record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)  # in the steps with which the page identifies it
 
 
-def write_stand(folder: Path) -> None:
-    """The test stand of the tutorials, and two recordings of it."""
-    (folder / "stand.xml").write_text(STAND)
-    headers, gains = {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}, {"kp": 15, "kd": 0.5}
-    for seed, name in enumerate(("a.csv", "b.csv")):
-        record(folder / name, STAND, SHAFT, gains, headers, seconds=16.0, noise=ENCODER, seed=seed, substeps=SUBSTEPS)
-
-
 @pytest.fixture(scope="module")
 def recordings(shared_folder: Path) -> Path:
-    """The folder with all of these, written once for all workers."""
-    folder = shared_folder / "tutorials"
+    """The folder with the robots, the test stand and two recordings of it, written once for all workers."""
+    folder, headers = shared_folder / "tutorials", {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}
     with FileLock(folder.with_suffix(".lock")):
         if not folder.exists():
             (half := shared_folder / "half").mkdir()
             write_robots(half)
-            write_stand(half)
+            (half / "stand.xml").write_text(STAND)
+            options: dict[str, Any] = {"seconds": 16.0, "noise": ENCODER, "substeps": SUBSTEPS}
+            for seed, name in enumerate(("a.csv", "b.csv")):
+                record(half / name, STAND, SHAFT, {"kp": 15, "kd": 0.5}, headers, seed=seed, **options)
             half.rename(folder)
     return folder
 
@@ -92,7 +88,6 @@ def assert_found(drive: fz.Identified, truth: dict[str, Any], tolerance: float) 
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize(
     ("page", "drive", "truth", "tolerance"),
     [("leg", "leg", LEG, 0.05), ("arm", "arm", TRUTH, 0.05), ("servo", "servo", SERVO, 0.15)],
@@ -108,7 +103,6 @@ def test_a_tutorial_finds_its_drive(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
 def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> None:
     found = follow("tutorials/law.md")["found"]
     assert {*found.ranking} == {"baseline", "coulomb_smooth", "mujoco_default", "pushed_coulomb"}
@@ -117,7 +111,6 @@ def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
 def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: Callable, tmp_path: Path) -> None:
     (tmp_path / "drive").symlink_to(finished_run("mujoco_default")[0])
     names = follow("tutorials/randomisation.md")
@@ -134,7 +127,6 @@ def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: 
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
 def test_the_page_on_python_identifies_compares_and_defines_a_law(follow: Callable, tmp_path: Path) -> None:
     before = torch.get_default_dtype()
     names = follow("python.md", first=2)

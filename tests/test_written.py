@@ -29,7 +29,11 @@ from frictionzoo.report.terminal import summarise
 EXACT = 1e-9  # rad; rounding of some hundred steps stays far below
 STEP, SUBSTEPS = 0.004, 2  # of the robots' files [s], and in a sample
 KP, KD, GAIN, LATE = 20.0, 1.0, 0.9, 2.4 * STEP
-PAYLOADS = [[0.3, 0.01, 0.02, -0.03, 2e-4, 3e-4, 2.5e-4], [0.0] * 7, [0.2, 0.0, 0.0, -0.02, 1e-4, 1e-4, 1e-4]]
+PAYLOADS = [  # at the foot
+    Payload(0.3, (0.01, 0.02, -0.03), (2e-4, 3e-4, 2.5e-4)),
+    Payload(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    Payload(0.2, (0.0, 0.0, -0.02), (1e-4, 1e-4, 1e-4)),
+]
 
 
 def leg(name: str, joints: int = 3, at: str = "0 0 0") -> str:
@@ -56,37 +60,30 @@ def robot(legs: str, floating: bool) -> str:
 
 
 LEG = robot(leg("knee"), floating=False)
-QUADRUPED = robot(
-    "".join(
-        leg(name, at=place)
-        for name, place in {"FL": "0.2 0.1 0", "FR": "0.2 -0.1 0", "RL": "-0.2 0.1 0", "RR": "-0.2 -0.1 0"}.items()
-    ),
-    floating=True,
-)
+PLACES = {"FL": "0.2 0.1 0", "FR": "0.2 -0.1 0", "RL": "-0.2 0.1 0", "RR": "-0.2 -0.1 0"}
+QUADRUPED = robot("".join(leg(name, at=place) for name, place in PLACES.items()), floating=True)
 
 
-def load(text: str, payload: list[float] | None = None, foot: str = "", **joints: float) -> mujoco.MjModel:
+def load(text: str, payload: Payload | None = None, foot: str = "", **joints: float) -> mujoco.MjModel:
     """A model file with its base held, a payload welded to the foot, and values of all joints where they are given."""
     spec = mujoco.MjSpec.from_string(text)
     for joint in [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]:
         spec.delete(joint)
-    if payload and payload[0]:
-        body = spec.body(foot).add_body(mass=payload[0], ipos=payload[1:4], inertia=payload[4:], explicitinertial=True)
-        body.name = "payload"
+    if payload and payload.mass:
+        options = {"mass": payload.mass, "ipos": payload.position, "inertia": payload.inertia}
+        spec.body(foot).add_body(**options, explicitinertial=True).name = "payload"
     for joint in spec.joints if joints else ():
         joint.armature, joint.frictionloss = joints["armature"], joints["frictionloss"]
         joint.damping = [joints["damping"], 0, 0]
     return spec.compile()
 
 
-def record(
-    text: str, foot: str, encoders: np.ndarray, pulls: np.ndarray, payload: list[float]
-) -> dict[str, np.ndarray]:
+def record(text: str, foot: str, encoders: np.ndarray, pulls: np.ndarray, payload: Payload) -> dict[str, np.ndarray]:
     """A recording with the controller in the loop, fine steps, and friction that is larger than what is known of it."""
     fine, seconds, bare = 4, 1.6, re.sub("<actuator>.*</actuator>", "", text)
     model = load(bare, payload, foot, armature=0.02, frictionloss=0.12, damping=0.06)
     model.opt.timestep = STEP / fine
-    data, rng = mujoco.MjData(model), np.random.default_rng(len(encoders) + round(10 * payload[0]))
+    data, rng = mujoco.MjData(model), np.random.default_rng(len(encoders) + round(10 * payload.mass))
     times = STEP * SUBSTEPS * np.arange(round(seconds / STEP / SUBSTEPS))
     rates, phases = rng.uniform(4, 14, (2, model.nv))
     ctrl = 0.4 * np.sin(rates * times[:, None] + phases)
@@ -108,7 +105,10 @@ def identify(folder: Path, text: str, foot: str) -> Identified:
     path.write_text(text)
     count = load(text).nv
     encoders, pulls = 0.03 * np.sin(1 + np.arange(count)), 0.2 * np.cos(np.arange(count))
-    logs = [fz.read(record(text, foot, encoders, pulls, payload), payload=[payload]) for payload in PAYLOADS]
+    read = [
+        fz.read(record(text, foot, encoders, pulls, load), payload=[[load.mass, *load.position, *load.inertia]])
+        for load in PAYLOADS
+    ]
     size = {"init": 0.1, "low": 1e-3, "high": 1.0, "identify": False, "scale": "log"}
     bench = fz.Robot(
         str(path),
@@ -123,7 +123,7 @@ def identify(folder: Path, text: str, foot: str) -> Identified:
         "loop": {"progress": False},
     }
     law = MujocoDefault(count, {"frictionloss": size, "damping": size})
-    return fz.identify(bench, law, [next(iter(each)) for each in logs], test=fz.Split(test_share=0.5, gap=0.05), **how)
+    return fz.identify(bench, law, [next(iter(logs)) for logs in read], test=fz.Split(test_share=0.5, gap=0.05), **how)
 
 
 def play(model: mujoco.MjModel, drive: Identified, rollout: int, offset: np.ndarray) -> Float[np.ndarray, "time nv"]:
@@ -147,24 +147,21 @@ def play(model: mujoco.MjModel, drive: Identified, rollout: int, offset: np.ndar
     return np.array(found) - offset
 
 
-def judge(text: str, drive: Identified, foot: str = "", own: bool = False) -> tuple[float, float]:
+def judge(text: str, drive: Identified, foot: str, own: bool) -> tuple[float, float]:
     """Mean and largest distance of a file from the identified drive; a robot's own joints have true positions."""
     expected, found = drive.rollout()[0], []
     offset = drive.values["bench"].get("position_offset", np.zeros(drive.bench.nv)) if own else np.zeros(drive.bench.nv)
+    loads: Any = drive.segments.load
     for rollout in range(drive.segments.count):
-        payload, loads = None, drive.segments.load
-        for each in PAYLOADS:
-            carried = Payload(each[0], (each[1], each[2], each[3]), (each[4], each[5], each[6]))
-            if loads is not None and np.array_equal(loads[rollout], drive.bench.load(carried)):
-                payload = each
-        found.append(play(load(text, payload, foot), drive, rollout, offset))
+        carried = [each for each in PAYLOADS if foot and np.array_equal(loads[rollout], drive.bench.load(each))]
+        found.append(play(load(text, *carried, foot=foot), drive, rollout, offset))
     distance = np.abs(np.array(found) - expected)
     return float(distance.mean()), float(distance.max())
 
 
-def check(row: Any, text: str, drive: Identified, foot: str = "", own: bool = False) -> None:
+def check(row: Any, text: str, drive: Identified, foot: str = "") -> None:
     """An entry of `result.json` has the judge's numbers, and the file's comment says what they are."""
-    mean, largest = judge(text, drive, foot, own)
+    mean, largest = judge(text, drive, foot, own=row["file"] == "identified.xml" and isinstance(drive.bench, fz.Robot))
     assert (row["mean"], row["largest"]) == pytest.approx((mean, largest), abs=EXACT)
     error = drive.result["metrics"]["test"]["position_mae"]
     assert error and row["share"] == pytest.approx(mean / error, abs=1e-6)
@@ -172,23 +169,20 @@ def check(row: Any, text: str, drive: Identified, foot: str = "", own: bool = Fa
     assert row["exact"] or f"{mean:.3g} rad in the mean" in text
 
 
-def check_run(drive: Identified, folder: Path, foot: str) -> None:
-    """What a run says of a robot's files is so, in its `result.json` and where it is printed."""
-    result = drive.save(folder)
-    assert json.loads((folder / "result.json").read_text())["written"] == result["written"]
-    assert [row["file"] for row in result["written"]] == ["bench.xml", "identified.xml"]
-    for row in result["written"]:
-        check(row, (folder / row["file"]).read_text(), drive, foot, own=row["file"] == "identified.xml")
-        assert row["exact"] and float(row["share"] or 0) < 0.1
-        assert any("Payloads" in limit for limit in row["limits"])
-    assert "bench.xml, identified.xml: the identified drive, represented exactly" in summarise(result, folder)
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize(("text", "foot"), [(LEG, "knee_foot"), (QUADRUPED, "FL_foot")], ids=["leg", "quadruped"])
 def test_a_robots_run_leaves_files_that_move_as_it(text: str, foot: str, tmp_path: Path) -> None:
-    check_run(identify(tmp_path, text, foot), tmp_path / "run", foot)
+    """What a run says of a robot's files is so, in its `result.json` and where it is printed."""
+    drive, folder = identify(tmp_path, text, foot), tmp_path / "run"
+    result = drive.save(folder)
+    assert json.loads((folder / "result.json").read_text())["written"] == result["written"]
+    assert [row["file"] for row in result["written"]] == ["bench.xml", "identified.xml"]
+    for row in result["written"]:
+        check(row, (folder / row["file"]).read_text(), drive, foot)
+        assert row["exact"] and float(row["share"] or 0) < 0.1
+        assert any("Payloads" in limit for limit in row["limits"])
+    assert "bench.xml, identified.xml: the identified drive, represented exactly" in summarise(result, folder)
 
 
 @pytest.mark.parametrize("name", ["mujoco_default", "coulomb_stribeck"])
@@ -219,33 +213,16 @@ def test_a_single_joint_is_late_by_any_delay(steps: float, substeps: int) -> Non
         assert (filtered in said) == (not row["exact"])
 
 
-PULLED = {
-    "params": {"armature": 0.02, "delay": LATE, "position_offset": [0.03, -0.05], "torque_offset": [0.3, -0.2]},
-    "actuator": {"kp": KP, "kd": KD, "torque_gain": GAIN},
-}
-
-
-def pulled(path: Path, text: str, **more: Any) -> Identified:
-    """A leg of two joints with a delay, offsets of encoders and torque, a torque gain and a payload."""
-    path.write_text(text)
-    loads = [Payload(each[0], (each[1], each[2], each[3]), (each[4], each[5], each[6])) for each in PAYLOADS[:2]]
-    actuator = JointPD(**PULLED["actuator"], **more)
-    return fit(path, actuator=actuator, params=PULLED["params"], length=60, payload="knee_foot", load=loads)
-
-
-@pytest.mark.parametrize("floating", [False, True])
-def test_a_leg_has_delay_offsets_gain_and_payload(floating: bool, tmp_path: Path) -> None:
-    drive = pulled(tmp_path / "leg.xml", robot(leg("knee", 2), floating))
+@pytest.mark.parametrize(("floating", "limit"), [(False, None), (True, None), (False, 2.0)])
+def test_a_leg_has_delay_offsets_gain_payload_and_limit(floating: bool, limit: float | None, tmp_path: Path) -> None:
+    (tmp_path / "leg.xml").write_text(robot(leg("knee", 2), floating))
+    params = {"armature": 0.02, "delay": LATE, "position_offset": [0.03, -0.05], "torque_offset": [0.3, -0.2]}
+    actuator = JointPD(kp=KP, kd=KD, torque_gain=GAIN, **({"torque_limit": limit} if limit else {}))
+    options: dict[str, Any] = {"params": params, "payload": "knee_foot", "load": PAYLOADS[:2]}
+    drive = fit(tmp_path / "leg.xml", actuator=actuator, length=60, **options)
     for row, text in describe(drive):
-        check(row, text, drive, "knee_foot", own=row["file"] == "identified.xml")
-        assert row["exact"]
-
-
-def test_a_limit_of_torque_is_the_actuators_range(tmp_path: Path) -> None:
-    drive = pulled(tmp_path / "leg.xml", robot(leg("knee", 2), False), torque_limit=2.0)
-    for row, text in describe(drive):
-        check(row, text, drive, "knee_foot", own=row["file"] == "identified.xml")
-        assert row["exact"] and 'forcerange="-1.5 2.1"' in text
+        check(row, text, drive, "knee_foot")
+        assert row["exact"] and ('forcerange="-1.5 2.1"' in text) == bool(limit)
 
 
 def test_a_file_in_longer_steps_says_so(tmp_path: Path) -> None:
@@ -276,7 +253,7 @@ def test_the_makers_range_of_commands_is_named(tmp_path: Path) -> None:
     for ranges in ("keep", "leave_out"):
         drive = fit(tmp_path / "leg.xml", length=60, ranges=ranges)
         _, (row, text) = describe(drive)
-        check(row, text, drive, own=True)
+        check(row, text, drive)
         assert row["exact"] == (ranges == "keep")
     assert "ctrlrange" in row["reason"] and row["reason"] in text
 
