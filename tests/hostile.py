@@ -1,7 +1,7 @@
 """Runs and cards of strangers: mutated at random and handed to the program, in a process that an audit hook watches.
 
-python tests/hostile.py RUN CARD SCRATCH COUNT SEED prints one line of JSON: what went wrong, and for each command how
-often it ended well and how often it refused. RUN and CARD are folders that the program wrote, SCRATCH is empty.
+`python hostile.py RUN CARD SCRATCH COUNT SEED` prints one line of JSON: what went wrong, and for each command how often
+it ended well and how often it refused. RUN and CARD are folders that the program wrote, SCRATCH is empty.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ import sys
 import tempfile
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -128,46 +128,30 @@ def _pick(folder: Path, rng: random.Random, pattern: str = "*.json") -> Path:
     return rng.choice([path for path in folder.rglob(pattern) if path.is_file() and path.suffix != ".png"])
 
 
+def _list_places(node: Any) -> Iterator[tuple[Any, Any]]:
+    for key, value in [*(enumerate(node) if isinstance(node, list) else node.items())]:
+        yield node, key
+        if isinstance(value, dict | list):
+            yield from _list_places(value)
+
+
 def change_json(folder: Path, rng: random.Random) -> None:
-    """Another value, one less or one more somewhere in one of the files of JSON."""
+    """Another value, one less or one more somewhere in a file of JSON; another class, of a third of all files."""
     path = _pick(folder, rng)
     content = json.loads(path.read_text())
     for _ in range(rng.choice((1, 1, 1, 3))):
-        node: Any = content
-        if rng.random() < 0.4:
-            node = content.get("settings") or content.get("result", {}).get("settings") or content
-        while node:
-            key = rng.choice([*(range(len(node)) if isinstance(node, list) else node)])
-            if not (isinstance(node[key], dict | list) and node[key] and rng.random() < 0.85):
-                _alter(node, key, rng)
-                break
-            node = node[key]
-    path.write_text(json.dumps(content))
-
-
-def _alter(node: Any, key: Any, rng: random.Random) -> None:
-    what, value = rng.random(), copy.deepcopy(rng.choice(VALUES))
-    if key == "_target_":
-        node[key] = rng.choice(TARGETS)
-    elif what < 0.1:
-        del node[key]
-    elif what < 0.2 and isinstance(node, dict):
-        node[rng.choice(TEXTS)] = value
-    else:
-        node[key] = {"_target_": rng.choice(TARGETS), "args": [f"touch {MARK}"]} if what < 0.25 else value
-
-
-def change_target(folder: Path, rng: random.Random) -> None:
-    """Another class in some section of the settings."""
-    path = rng.choice([path for path in folder.rglob("*.json") if "_target_" in path.read_text()])
-    sections: list[dict[str, Any]] = []
-
-    def collect(section: dict[str, Any]) -> dict[str, Any]:
-        sections.extend([section] if "_target_" in section else [])
-        return section
-
-    content = json.loads(path.read_text(), object_hook=collect)
-    rng.choice(sections)["_target_"] = rng.choice(TARGETS)
+        places = [*_list_places(content if rng.random() < 0.5 else content.get("settings", content))]
+        classes = [place for place in places if place[1] == "_target_"] if rng.random() < 0.3 else []
+        node, key = rng.choice(classes or places)
+        what, value = rng.random(), copy.deepcopy(rng.choice(VALUES))
+        if key == "_target_":
+            node[key] = rng.choice(TARGETS)
+        elif what < 0.1:
+            del node[key]
+        elif what < 0.2 and isinstance(node, dict):
+            node[rng.choice(TEXTS)] = value
+        else:
+            node[key] = {"_target_": rng.choice(TARGETS), "args": [f"touch {MARK}"]} if what < 0.25 else value
     path.write_text(json.dumps(content))
 
 
@@ -175,7 +159,7 @@ def change_choices(folder: Path, rng: random.Random) -> None:
     """Another file of a configuration group, and overrides of Hydra's own settings."""
     path = folder / ".hydra" / "settings.json"
     if not path.exists():
-        return change_target(folder, rng)
+        return change_json(folder, rng)
     content = json.loads(path.read_text())
     group = rng.choice([*content["choices"], "hydra/launcher", "+hydra", "model@hydra.callbacks", "../x", "experiment"])
     content["choices"][group] = rng.choice(CHOICES)
@@ -273,7 +257,7 @@ def add_files(folder: Path, rng: random.Random) -> None:
 
 
 MUTATIONS: tuple[tuple[Callable[[Path, random.Random], None], int], ...] = (
-    *((change_json, 40), (change_target, 12), (change_choices, 8), (change_form, 10), (change_yaml, 4)),
+    *((change_json, 52), (change_choices, 8), (change_form, 10), (change_yaml, 4)),
     *((change_bytes, 12), (change_arrays, 10), (change_links, 4), (add_files, 4)),
 )
 

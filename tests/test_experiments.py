@@ -101,41 +101,38 @@ def test_checks_find_what_is_not_as_expected():
 
 
 def test_a_check_may_be_against_another_run_in_each_fold_and_of_each_joint():
-    def entry(label, fold, *joints):
-        return {"label": label, "fold": fold, "by_joint": [{"error": joint} for joint in joints]}
-
-    runs = [entry("a", "1", 1.0, 2.0), entry("b", "1", 2.0, 2.0), entry("a", "2", 1.0, 3.0), entry("b", "2", 2.0, 2.0)]
+    errors = {("a", "1"): (1.0, 2.0), ("b", "1"): (2.0, 2.0), ("a", "2"): (1.0, 3.0), ("b", "2"): (2.0, 2.0)}
+    runs = [
+        {"label": label, "fold": fold, "by_joint": [{"error": error} for error in joints]}
+        for (label, fold), joints in errors.items()
+    ]
     check = {"run": "a", "path": "by_joint.*.error", "of": "b", "at_most": 1.0}
     (found,) = reproduce.check({"runs": runs}, [check])
     assert found.startswith("a, 2: by_joint.*.error is [0.5, 1.5], expected ")
     assert not list(reproduce.check({"runs": runs}, [check | {"fold": "1"}]))
     runs[1]["by_joint"][0]["error"] = None
     assert len(list(reproduce.check({"runs": runs}, [check | {"fold": "1"}]))) == 1
-    column = {"head": "error", "values": ["by_joint.*.error"], "format": "{:.1f}"}
-    fold = {"head": "fold", "values": ["fold"], "format": "{}"}
-    assert reproduce.tabulate({"runs": runs[:1]}, {"table": [fold, column]}).splitlines()[2] == "| 1 | 1.0, 2.0 |"
+    table = [
+        {"head": key, "values": [path], "format": f}
+        for key, path, f in (("fold", "fold", "{}"), ("error", "by_joint.*.error", "{:.1f}"))
+    ]
+    assert reproduce.tabulate({"runs": runs[:1]}, {"table": table}).splitlines()[2] == "| 1 | 1.0, 2.0 |"
 
 
-def test_each_fold_is_a_comparison_of_its_own(tmp_path, monkeypatch):
-    monkeypatch.setattr(reproduce, "read_runs", lambda folders: (folders, []))
-    monkeypatch.setattr(
-        reproduce, "compare_runs", lambda runs, _: {"runs": [{"label": f"{r.name}"} for r in runs[::-1]]}
-    )
-    expected = {"commands": [reproduce.PROGRAM + "a", reproduce.PROGRAM + "b"], "folds": {"x": [], "y": ["c=1"]}}
+def test_each_command_runs_in_each_fold_and_in_a_folder_of_its_own(tmp_path, monkeypatch):
     ran = []
+    commands = [reproduce.PROGRAM + "-m model=a,b", reproduce.PROGRAM + "'x=[1, 2]'"]
+    one, two = reproduce.run(commands, tmp_path, lambda *arguments: ran.append(arguments))
+    assert one != two and ran == [("-m", "model=a,b", f"hydra.sweep.dir={one}"), ("x=[1, 2]", f"hydra.run.dir={two}")]
+    with pytest.raises(SystemExit, match="make all; expected a command"):
+        reproduce.run(["make all"], tmp_path)
+    ran.clear()
+    monkeypatch.setattr(reproduce, "read_runs", lambda folders: (folders, []))
+    monkeypatch.setattr(reproduce, "compare_runs", lambda runs, _: {"runs": [{"label": r.name} for r in runs[::-1]]})
+    expected = {"commands": [reproduce.PROGRAM + "a", reproduce.PROGRAM + "b"], "folds": {"x": [], "y": ["c=1"]}}
     found = reproduce.compare(expected, tmp_path, small=True, start=lambda *arguments: ran.append(arguments[:-1]))
     assert ran == [("a",), ("b",), ("a", "c=1"), ("b", "c=1")]
     assert [(run["fold"], run["label"]) for run in found["runs"]] == [("x", "0"), ("x", "1"), ("y", "0"), ("y", "1")]
-
-
-def test_each_command_runs_in_a_folder_of_its_own(tmp_path):
-    ran = []
-    commands = ["python -m frictionzoo.run -m model=a,b", "python -m frictionzoo.run 'x=[1, 2]'"]
-    one, two = reproduce.run(commands, tmp_path, lambda *arguments: ran.append(arguments))
-    assert one != two
-    assert ran == [("-m", "model=a,b", f"hydra.sweep.dir={one}"), ("x=[1, 2]", f"hydra.run.dir={two}")]
-    with pytest.raises(SystemExit, match="make all; expected a command"):
-        reproduce.run(["make all"], tmp_path)
 
 
 def test_the_table_has_a_row_a_run():

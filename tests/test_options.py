@@ -144,6 +144,10 @@ ARGUMENTS = (
     *(f"seed={values}" for values in NO_RANGES),
     *("hydra.run.dir=", "hydra.sweep.dir=''", "hydra.sweep.subdir=null", "hydra.verbose=nan"),
     *("data.train=[", "data.where={kp", "=3", "model=choice()"),
+    # Files that are no choices of a group
+    *("model=../evil", "model=/tmp/evil", "model@hydra.callbacks=../evil", "+experiment=../evil", "model=[lugre]"),
+    *("hydra/launcher=../../evil", "data=files/x", "recipe='${oc.env:HOME}'", "start=../evil", "model=lugre.yaml"),
+    *("model=lugre,../evil", "variant=../evil", "logger='../csv'", "../model=lugre"),
 )
 
 

@@ -174,19 +174,6 @@ def test_caches_of_a_stranger_are_not_used(foreign: Path) -> None:
     assert (merged.seed, merged.fit.iterations) == (9, 3)  # today's, and the run's
 
 
-@pytest.mark.parametrize(
-    "argument",
-    [
-        *("model=../evil", "model=/tmp/evil", "model@hydra.callbacks=../evil", "+experiment=../evil", "model=[lugre]"),
-        *("hydra/launcher=../../evil", "data=files/x", "recipe='${oc.env:HOME}'", "start=../evil", "model=lugre.yaml"),
-        *("model=lugre,../evil", "variant=../evil", "logger='../csv'", "../model=lugre"),
-    ],
-)
-def test_a_group_takes_names_of_its_list_only(argument: str) -> None:
-    with pytest.raises(ConfigError):
-        refuse_no_choice(["-m", argument])
-
-
 def test_a_folder_that_the_user_adds_has_names_too(tmp_path: Path) -> None:
     (tmp_path / "model").mkdir()
     (tmp_path / "model" / "own.yaml").write_text("a: 1\n")
