@@ -47,19 +47,13 @@ def read_data(source: str) -> dict[str, Any]:
 
 
 class Browser:
-    """A headless Chromium with one page.
-
-    Attributes:
-        console: What the page has written to its console, and which errors it has met.
-    """
+    """A headless Chromium with one page; `console` has what it wrote there, and the errors that it met."""
 
     def __init__(self) -> None:
         driver = sync_playwright().start()
         atexit.register(driver.stop)
-        chromium = driver.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--enable-unsafe-swiftshader"]
-        )
-        self._page = chromium.new_page()
+        options = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+        self._page = driver.chromium.launch(executable_path=CHROMIUM, args=options).new_page()
         self.console: list[str] = []
         self._page.on("console", lambda message: _SLOW in message.text or self.console.append(message.text))
         self._page.on("pageerror", lambda error: self.console.append(str(error)))

@@ -29,16 +29,9 @@ def fit(
     load: Any = None,
     **more: Any,
 ) -> Identified:
-    """A drive as if identified, each joint another, and two rollouts of it.
+    """A drive as if identified, each joint another, and two rollouts of it; `more` are arguments of the bench.
 
-    Args:
-        path: Of the robot or the bench.
-        joint: Names of joints.
-        kind: The bench's class.
-        length: Samples of each rollout.
-        substeps: Simulation steps in a sample.
-        load: Payload of each rollout; None for none.
-        more: Arguments of the bench.
+    Rollouts have `length` samples of so many `substeps`, and each its payload of `load`.
     """
     options: dict[str, Any] = {"actuator": JointPD({"kp": {"init": 20.0}, "kd": {"init": 1.0}}), **more}
     bench = kind(str(path), joint, **options)
@@ -54,9 +47,6 @@ def fit(
     qpos, qvel = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, length + 1, bench.nv))
     loads = None if load is None else np.stack([bench.load(each) for each in load])
     segments = Segments(qpos, qvel, signals, sampling.interval, loads)
-    result: Any = {
-        "settings": {"bench": describe(bench)},
-        "model": law.name,
-        "metrics": {"test": {"position_mae": ERROR}},
-    }
+    result: Any = {"settings": {"bench": describe(bench)}, "model": law.name}
+    result["metrics"] = {"test": {"position_mae": ERROR}}
     return Identified(None, result, bench, law, {}, values, segments, sampling, trace_nothing(segments))

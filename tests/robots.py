@@ -49,19 +49,11 @@ def record(
     seed: int = 0,
     substeps: int = 1,
 ) -> None:
-    """A recording by MuJoCo C under its own position controllers, with the noise of encoders, as CSV.
+    """A recording by MuJoCo C under its own position controllers, as CSV with a sample each step of the `mjcf`.
 
-    Args:
-        path: Of the CSV.
-        mjcf: The drive without what is identified; a sample is taken each of its steps.
-        truth: Armature, frictionloss and damping of each joint.
-        gains: `kp` and `kd` of the controllers.
-        headers: Of the signals' columns.
-        seconds: How long it is.
-        noise: Standard deviation of positions [rad] and velocities [rad/s].
-        seed: Of command and noise.
-        substeps: Simulation steps a sample, through which a command lasts. A drive's motion knows of no steps: with one
-            of 1 or 2 ms, what it does to friction is in the recording.
+    `truth` has armature, frictionloss and damping of each joint, `gains` kp and kd; `noise` is the standard deviation
+    of positions [rad] and velocities [rad/s]. A command lasts through the `substeps` of a sample: a drive's motion
+    knows of no steps, and with one of 1 or 2 ms, what it does to friction is in the recording.
     """
     spec = mujoco.MjSpec.from_string(mjcf)
     for index, joint in enumerate(spec.joints):

@@ -1,7 +1,6 @@
 """The benchmarks run and measure something; how fast is theirs to say."""
 
 import json
-import os
 import runpy
 import shlex
 import subprocess
@@ -36,8 +35,6 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
 }
 # Errors, shares, and what needs no compiling; everything else is a time, a size or a count.
 MAY_BE_ZERO = {"difference", "status", "armature_error", "compile", "errors", "warnings", "curve", "asked", "delay"}
-
-
 OF_THIS_PROCESS = {"causes", "checkup", "coverage", "excitation", "newcomer", "recipe", "reports", "whole_robot"}
 """Scripts that change no setting of JAX and measure no process, and need none to themselves."""
 
@@ -51,20 +48,17 @@ def test_a_benchmark_measures(
     arguments, rows = QUICKEST[script]
     out = tmp_path / "results" / "measured.json"
     program = [str(BENCHMARKS / f"{script}.py"), "--out", str(out), *shlex.split(arguments)]
+    monkeypatch.chdir(tmp_path)
     if script in OF_THIS_PROCESS:
-        monkeypatch.chdir(tmp_path)
         monkeypatch.syspath_prepend(BENCHMARKS)
         monkeypatch.setattr(sys, "argv", program)
         with job_settings(compilation_cache):
             runpy.run_path(program[0], run_name="__main__")
     else:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        command = [sys.executable, *program]
-        finished = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert finished.returncode == 0, finished.stderr
+        monkeypatch.setenv("PYTHONPATH", str(ROOT))
+        subprocess.run([sys.executable, *program], check=True)
     content = json.loads(out.read_text())
-    assert content["machine"]["cpu_count"] > 0
-    assert len(content["rows"]) == rows
+    assert content["machine"]["cpu_count"] > 0 and len(content["rows"]) == rows
     for row in content["rows"]:
         numbers = {name: value for name, value in row.items() if not isinstance(value, str)}
         assert len(numbers) >= 5
@@ -73,6 +67,4 @@ def test_a_benchmark_measures(
 
 def test_the_page_names_every_benchmark() -> None:
     text = (BENCHMARKS / "README.md").read_text()
-    for script in QUICKEST:
-        assert f"## `{script}.py`" in text
-        assert f"python benchmarks/{script}.py" in text
+    assert all(f"## `{name}.py`" in text and f"python benchmarks/{name}.py" in text for name in QUICKEST)

@@ -1,15 +1,14 @@
 """Where a fit runs: one device, or several."""
 
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
 
 from frictionzoo.fit.blocks import BLOCK_STATES
 
+TWO_DEVICES = "--xla_force_host_platform_device_count=2"
 FITS = {
     "adam": ["fit=adam", "fit.iterations=10"],
     "lm": ["fit=lm", "fit.iterations=30"],
@@ -41,18 +40,12 @@ def parameters(folder: Path) -> dict[str, float]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-def test_two_devices_find_what_one_finds(
-    compilation_cache: Path, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_devices_find_what_one_finds(start: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
     # 39 segments: neither two devices nor the blocks share them evenly.
     options = (*tiny, "model=mujoco_default", "segments.count=39", "loss.velocity=0.1")
-    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(compilation_cache))
-    command = [sys.executable, "-c", COMPARE.format(fits=FITS, options=options)]
-    finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert finished.returncode == 0, finished.stderr
-    assert finished.stderr.count("run on 2 devices") == len(FITS)
+    started = start(program=("-c", COMPARE.format(fits=FITS, options=options)), XLA_FLAGS=TWO_DEVICES)
+    _, err = started.communicate()
+    assert started.returncode == 0 and err.count("run on 2 devices") == len(FITS), err
     for fit in FITS:
         one, two = (parameters(tmp_path / f"{fit}{count}") for count in (1, 2))
         assert two == pytest.approx(one, rel=1e-9), fit

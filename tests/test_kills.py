@@ -4,7 +4,6 @@
 """
 
 import contextlib
-import functools
 import json
 import os
 import random
@@ -16,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, job_settings, run_main
+from conftest import ROOT
 from test_torch_only import STRIBECK, TorchStribeck
 
 from frictionzoo.cli.run import NOT_IDENTIFIED
@@ -66,21 +65,6 @@ def draw(count: int) -> list[tuple[str, str, str, float]]:
     ]
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory, compilation_cache: Path, tiny: tuple) -> Callable[..., Path]:
-    """The folder of a job of `JOBS` that nothing disturbed."""
-
-    @functools.cache
-    def undisturbed(job: str) -> Path:
-        home = tmp_path_factory.mktemp(job)
-        with contextlib.chdir(home), job_settings(compilation_cache):
-            finished = run_main(*JOBS[job], *tiny)
-        assert finished.status in DONE, finished.err
-        return home / "run"
-
-    return undisturbed
-
-
 @pytest.fixture(autouse=True)
 def prepared(monkeypatch: pytest.MonkeyPatch, unrendered: None) -> None:
     """The law is known here too; no figures are rendered, most of a comparison's time."""
@@ -90,17 +74,17 @@ def prepared(monkeypatch: pytest.MonkeyPatch, unrendered: None) -> None:
 
 def results(folder: Path) -> dict[str, bytes]:
     """What has to come out again, by file; of `result.json` and `comparison.json`, all but the times."""
-    names = ("result.json", "comparison/comparison.json", "friction.safetensors", "identified.xml")
-    return {str(path.relative_to(folder)): without_times(path) for name in names for path in folder.rglob(name)}
-
-
-def without_times(path: Path) -> bytes:
-    if path.suffix != ".json":
-        return path.read_bytes()
-    content = json.loads(path.read_text())
-    for part in (content, *content.get("runs", [])):
-        part.pop("timing", None)
-    return json.dumps(content).encode()
+    found = {}
+    for name in ("result.json", "comparison/comparison.json", "friction.safetensors", "identified.xml"):
+        for path in folder.rglob(name):
+            content = path.read_bytes()
+            if path.suffix == ".json":
+                parsed = json.loads(content)
+                for part in (parsed, *parsed.get("runs", [])):
+                    part.pop("timing", None)
+                content = json.dumps(parsed).encode()
+            found[str(path.relative_to(folder))] = content
+    return found
 
 
 def end(process: subprocess.Popen, how: str, stage: Path, delay: float) -> str:
@@ -123,26 +107,16 @@ def end(process: subprocess.Popen, how: str, stage: Path, delay: float) -> str:
     ("job", "how", "stage", "delay"), draw(int(os.environ.get("FRICTIONZOO_KILLS", len(JOBS)))), ids=str
 )
 def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
-    start: Callable,
-    call: Callable,
-    tiny: tuple[str, ...],
-    tmp_path: Path,
-    undisturbed: Callable[..., Path],
-    job: str,
-    how: str,
-    stage: str,
-    delay: float,
+    start: Callable, call: Callable, tiny: tuple, tmp_path: Path, job: str, how: str, stage: str, delay: float
 ) -> None:
-    expected = results(undisturbed(job))
-    folder, command = tmp_path / "run", (*JOBS[job], *tiny)
+    folder, command, undisturbed = tmp_path / "run", (*JOBS[job], *tiny), tmp_path / "undisturbed"
+    undisturbed.mkdir()
+    with contextlib.chdir(undisturbed):
+        assert call(*command).status in DONE
     place = folder / "1_coulomb_smooth" if job == "sweep" and stage else folder
     # Compiled functions are read and not written: JAX leaves half a file where it is ended.
-    variables = {
-        "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}",
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9",
-    }
-    program = ("-c", WITH_LAW) if job == "torch" else ("-m", "frictionzoo.run")
-    process = start(*command, program=program, **variables)
+    variables = {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9"}
+    process = start(*command, program=("-c", WITH_LAW) if job == "torch" else ("-m", "frictionzoo.run"), **variables)
     err = end(process, how, place / stage, delay)
     if process.returncode > 0 and process.returncode not in DONE:
         assert_says_how_to_go_on(err, how, folder)
@@ -152,7 +126,7 @@ def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
     done = {path: path.stat().st_mtime_ns for path in folder.glob("*/result.json")}
     finished = call(*command)
     assert finished.status in DONE, finished.err
-    assert results(folder) == expected
+    assert results(folder) == results(undisturbed / "run")
     assert done == {path: path.stat().st_mtime_ns for path in done}
     assert not [path for path in folder.rglob(".*") if path.name not in (".hydra", MANIFEST)]
 
