@@ -154,29 +154,26 @@ def names_of(outputs: dict[str, Path]) -> list[str]:
     return sorted({*used, *RUN_FILES, *COMPARISON, RUNNING, MANIFEST, PART, "csv", "csv/metrics.csv", "csv/a.csv"})
 
 
-def draw_foreign(draw: Callable, names: list[str]) -> list[Foreign]:
-    characters = st.characters(codec="utf-8", exclude_characters="/\0", exclude_categories=["Cs"])
-    random = st.text(characters, min_size=1, max_size=8)
-    name = st.sampled_from(names) | random.filter(lambda text: text not in (".", ".."))
-    places = st.sampled_from(["figures", "tensorboard", "csv", ".git", "checkpoints"])
-    inside = st.builds("{}/{}".format, places, random)
-    inside = inside.filter(lambda text: not text.endswith(("/.", "/..")))
-    what = st.sampled_from(["file", "file", "empty", "folder", "link", "away"])
-    return draw(st.lists(st.builds(Foreign, name | inside, what), min_size=1, max_size=4))
+CHARACTERS = st.characters(codec="utf-8", exclude_characters="/\0", exclude_categories=["Cs"])
+TEXT = st.text(CHARACTERS, min_size=1, max_size=8).filter(lambda text: text not in (".", ".."))
+INSIDE = st.builds("{}/{}".format, st.sampled_from(["figures", "tensorboard", "csv", ".git", "checkpoints"]), TEXT)
+KINDS = st.sampled_from(["file", "file", "empty", "folder", "link", "away"])
 
 
 def hold(tmp_path: Path, names: list[str], write: Callable[[Path], Any], examples: int, again: bool = False) -> None:
     """Files of these names, and of others, stay whatever is written into their folder; also when written again."""
 
     @settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), max_examples=examples)
-    @given(st.data())
-    def check(data: st.DataObject) -> None:
-        foreign = draw_foreign(data.draw, names)
+    @given(
+        st.lists(st.builds(Foreign, st.sampled_from(names) | TEXT | INSIDE, KINDS), min_size=1, max_size=4),
+        st.booleans(),
+    )
+    def check(foreign: list[Foreign], twice: bool) -> None:
         with tempfile.TemporaryDirectory(dir=tmp_path) as place:
             folder, outside = Path(place, "out"), Path(place, "outside")
             folder.mkdir()
             outside.mkdir()
-            if again and data.draw(st.booleans()):
+            if again and twice:
                 write(folder)
             with kept(folder, outside, foreign):
                 write(folder)
@@ -368,15 +365,12 @@ def test_a_run_beside_other_files_leaves_them_and_goes_on(
 
 
 @pytest.mark.slow
-def test_a_sweep_refuses_foreign_files(call: Callable, tmp_path: Path) -> None:
-    put(tmp_path, tmp_path, [Foreign("sweep/multirun.yaml", "file"), Foreign("other/0_baseline/result.json", "file")])
+@pytest.mark.parametrize("name", ["multirun.yaml", "0_baseline/result.json"])
+def test_a_sweep_refuses_foreign_files(call: Callable, tmp_path: Path, name: str) -> None:
+    put(tmp_path, tmp_path, [Foreign(f"sweep/{name}", "file")])
     before = see(tmp_path)
-    options = ("-m", "model=baseline", "data=files", "data.train=[a.csv]")
-    refused = call(*options, "hydra.sweep.dir=sweep")
-    assert refused.status == 2 and "sweep/multirun.yaml: not written by this program" in refused.err
-    assert see(tmp_path) == before
-    refused = call(*options, "hydra.sweep.dir=other")
-    assert refused.status == 2 and "other/0_baseline/result.json: not written by this program" in refused.err
+    refused = call("-m", "model=baseline", "data=files", "data.train=[a.csv]", "hydra.sweep.dir=sweep")
+    assert refused.status == 2 and f"sweep/{name}: not written by this program" in refused.err
     assert see(tmp_path).items() >= before.items()
 
 

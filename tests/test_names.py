@@ -4,7 +4,6 @@ import ast
 import csv
 import functools
 import io
-import itertools
 import json
 import re
 import tokenize
@@ -24,7 +23,7 @@ import torch
 import yaml
 from conftest import slow_but, trace_nothing
 from fitted import FREE
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import frictionzoo as fz
@@ -219,14 +218,14 @@ def judge_json(plain: Path, written: Path, names: dict[str, str]) -> None:
 
 def judge_arrays(plain: Path, written: Path, names: dict[str, str]) -> None:
     with np.load(plain, allow_pickle=False) as before, np.load(written, allow_pickle=False) as after:
-        assert before["joints"].tolist() == list(PLAIN) and after["joints"].tolist() == list(names.values())
+        assert [*before["joints"]] == [*names] and [*after["joints"]] == [*names.values()]
         assert sorted(before) == sorted(after)
 
 
 def judge_graph(plain: Path, written: Path, names: dict[str, str]) -> None:
-    import onnx
-
     if written.suffix == ".onnx":
+        import onnx
+
         facts = {fact.key: fact.value for fact in onnx.load(written).metadata_props}
     else:
         extra = {"frictionzoo.json": ""}
@@ -234,7 +233,7 @@ def judge_graph(plain: Path, written: Path, names: dict[str, str]) -> None:
             warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
             torch.jit.load(written, _extra_files=extra)
         facts = json.loads(extra["frictionzoo.json"])
-    assert json.loads(facts["joints"]) == list(names.values())
+    assert json.loads(facts["joints"]) == [*names.values()]
 
 
 JUDGES: dict[str, Callable[[Path, Path, dict[str, str]], None]] = {
@@ -276,16 +275,14 @@ def lacks_sdf(name: str) -> bool:
 
 
 CHEAP = [target for target in TARGETS if target not in SLOW]
-QUICK = [*itertools.product(CHEAP, HOSTILE[:2])]
 
 
-@pytest.mark.parametrize(
-    ("target", "names"), slow_but(QUICK, [*itertools.product(CHEAP, HOSTILE), *itertools.product(SLOW, HOSTILE[:2])])
-)
+@pytest.mark.parametrize("target", slow_but(CHEAP, TARGETS))
 def test_a_target_writes_names_as_data(
-    target: str, names: tuple[str, str], plain: Callable[[str], Path], tmp_path: Path
+    target: str, plain: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    judge(target, plain(target), tmp_path, names)
+    for names in HOSTILE[:2]:
+        judge(target, plain(target), tmp_path_factory.mktemp(target), names)
 
 
 @pytest.mark.slow
@@ -298,6 +295,8 @@ def test_a_target_writes_any_name_as_data(
     def writes(names: tuple[str, str]) -> None:
         judge(target, plain(target), tmp_path_factory.mktemp(target), names)
 
+    for names in HOSTILE[2:]:
+        writes = example(names)(writes)
     writes()
 
 
@@ -328,15 +327,13 @@ def test_xml_holds_a_name_or_refuses_it_in_a_line(name: str) -> None:
     root = ET.Element("a", name=name)
     root.append(write_comment(name))
     ET.SubElement(root, "b")
-    try:
-        text = write_xml(root)
-    except ExportError as error:
-        assert str(error).isprintable() and not re.fullmatch(
-            "[\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]*", name
-        )
-        return
-    read = ET.fromstring(text)
-    assert read.attrib == {"name": name} and [part.tag for part in read] == ["b"]
+    if re.fullmatch("[\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]*", name):
+        read = ET.fromstring(write_xml(root))
+        assert read.attrib == {"name": name} and [part.tag for part in read] == ["b"]
+    else:
+        with pytest.raises(ExportError) as refused:
+            write_xml(root)
+        assert str(refused.value).isprintable()
 
 
 @EXAMPLES
@@ -396,15 +393,11 @@ CARDS = ["/leg/knee", "a|b`c <i>\n## x"]
 
 @pytest.mark.parametrize("name", slow_but(CARDS, [*CARDS, r"C:\x", "~/a", f"{Path.home()}/knee", "${oc.env:HOME}"]))
 def test_a_card_keeps_names_and_shortens_paths(
-    name: str,
-    finished_run: Callable[[str], tuple[Path, Any]],
-    recording: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    name: str, finished_run: Callable, recording: Path, tmp_path: Path
 ) -> None:
     run, _ = finished_run("mujoco_default")
     drive = rename_knee(fz.load(run), tmp_path / "robot.xml", name)
-    with monkeypatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FittedDrive, "load", lambda folder: drive)
         place, told = write_card(run, {"licence": "cc-by-4.0", "output": str(tmp_path / "card")})
     read = fz.load(place)
