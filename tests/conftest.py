@@ -1,9 +1,9 @@
 """What tests share: configurations, parts built from them, recordings, and jobs, in this process or in their own."""
 
 import contextlib
-import dataclasses
 import gc
 import io
+import itertools
 import json
 import logging
 import os
@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,13 +92,12 @@ def pytest_collection_finish() -> None:
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """What all tests took together, over all workers: the suite's budget. `--durations` lists the dearest."""
-    reports = [report for kind in terminalreporter.stats.values() for report in kind if hasattr(report, "duration")]
-    files: dict[str, float] = {}
-    for report in reports:
-        name = report.nodeid.partition("::")[0]
-        files[name] = files.get(name, 0.0) + report.duration
+    files = Counter[str]()
+    for report in itertools.chain(*terminalreporter.stats.values()):
+        if hasattr(report, "duration"):
+            files[report.nodeid.partition("::")[0]] += report.duration
     terminalreporter.section(f"all tests: {sum(files.values()):.0f} s of workers' time; by file")
-    for name, seconds in sorted(files.items(), key=lambda pair: -pair[1])[:10]:
+    for name, seconds in files.most_common(10):
         terminalreporter.write_line(f"{seconds:.2f}s {name}")
 
 
@@ -180,21 +180,16 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="session", autouse=True)
 def compilation_cache(shared_folder: Path) -> Path:
     """A folder in which the workers of the tests, and the programs that they start, share compiled functions.
 
-    JAX's own variable names one that is kept, so that the next tests find what these compiled.
+    Most of a test's time goes into compiling. JAX's own variable names a folder that is kept for the next tests.
     """
     folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR", shared_folder / "xla"))
     folder.mkdir(parents=True, exist_ok=True)
+    _configure_jax({"jax_compilation_cache_dir": str(folder), **CACHE_OPTIONS})
     return folder
-
-
-@pytest.fixture(scope="session", autouse=True)
-def compiled_once(compilation_cache: Path) -> None:
-    """Most of a test's time goes into compiling: what was compiled before, with other parameters say, is read."""
-    _configure_jax({"jax_compilation_cache_dir": str(compilation_cache), **CACHE_OPTIONS})
 
 
 @pytest.fixture(scope="session")
@@ -369,7 +364,7 @@ def finished_run(
                 with contextlib.chdir(home), job_settings(compilation_cache):
                     finished = run_main(*RUNS[name], *tiny, f"{option}={home / 'run'}")
                 assert finished.status == 0, finished.err
-                told.write_text(json.dumps(dataclasses.asdict(finished)))
+                told.write_text(json.dumps(vars(finished)))
         return home / "run", Finished(**json.loads(told.read_text()))
 
     return finished_run

@@ -1,10 +1,8 @@
 """Run folders, cards and recordings of somebody else: nothing in them runs, and nothing reaches the terminal raw."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, Finished, finish
+from conftest import Finished, finish
 from hostile import sign
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
@@ -269,19 +267,15 @@ def test_names_of_a_run_do_not_reach_the_terminal(foreign: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_thousand_mutated_runs_and_cards_do_no_harm(
-    finished_run: Callable, tmp_path: Path, compilation_cache: Path
-) -> None:
+def test_a_thousand_mutated_runs_and_cards_do_no_harm(finished_run: Callable, start: Callable, tmp_path: Path) -> None:
     """See hostile.py. Audit hooks cannot be removed, so that it is a process of its own."""
-    source, output = finished_run("coulomb_smooth")[0], tmp_path / "card"
-    card([str(source), "licence=cc-by-4.0", f"output={output}"])
-    (tmp_path / "scratch").mkdir()
-    script = Path(__file__).with_name("hostile.py")
-    command = [sys.executable, script, source, output, tmp_path / "scratch", "1000", "0"]
-    own = {"XDG_CACHE_HOME": tmp_path / "cache", "JAX_COMPILATION_CACHE_DIR": compilation_cache, "PYTHONPATH": ROOT}
-    environment = os.environ | {name: str(value) for name, value in own.items()}
-    finished = subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True)
-    assert finished.returncode == 0, finished.stderr[-3000:]
-    said = json.loads(finished.stdout.splitlines()[-1])
+    source, output, scratch = finished_run("coulomb_smooth")[0], tmp_path / "card", tmp_path / "scratch"
+    finish(lambda: card([str(source), "licence=cc-by-4.0", f"output={output}"]))
+    scratch.mkdir()
+    program = (str(Path(__file__).with_name("hostile.py")), *map(str, (source, output, scratch)), "1000", "0")
+    process = start(program=program, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    out, err = process.communicate()
+    assert process.returncode == 0, err[-3000:]
+    said = json.loads(out.splitlines()[-1])
     assert said["wrong"] == [] and sum(said["counts"].values()) > 1000
     assert min(said["counts"].get(f"{command} refused", 0) for command in ("load", "resume")) > 20

@@ -5,6 +5,7 @@ import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -82,8 +83,6 @@ print(subprocess.run([sys.executable, "-c", started], preexec_fn=lambda: None, t
 
 
 @pytest.mark.slow
-def test_a_process_that_was_forked_after_jax_had_begun_is_refused(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
-    command = [sys.executable, "-c", FORK]
-    found = subprocess.run(command, cwd=tmp_path, env=environment, text=True, capture_output=True, timeout=200)
-    assert found.stdout.split() == ["7", "7", "0", "started"], found.stderr
+def test_a_process_that_was_forked_after_jax_had_begun_is_refused(start: Callable) -> None:
+    out, err = start(program=("-c", FORK), PYTHONWARNINGS="ignore").communicate(timeout=200)
+    assert out.split() == ["7", "7", "0", "started"], err
