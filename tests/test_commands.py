@@ -44,7 +44,6 @@ from frictionzoo.identification import Problem
 from frictionzoo.simulation.context import computing
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "
-FILLED = {"MODEL": "coulomb_stribeck"}  # what a page leaves to its reader, and what stands for it here
 SMALL = {  # options that make a job quick, where it has them and the page does not set them
     **{"data.samples": "15000", "data.split.gap": "0.05", "segments.count": "20", "fit.iterations": "20"},
     **{"loop.progress": "false", "recipe": "given"},
@@ -325,23 +324,16 @@ def desk(shared_folder: Path, recording: Path) -> Path:
 
 
 @pytest.fixture
-def place(
-    call: Callable,
-    finished_run: Callable,
-    desk: Path,
-    tmp_path: Path,
-    shared_folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> Place:
+def place(call: Callable, finished_run: Callable, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Place:
     monkeypatch.setattr(files, "read_tables", read_once)  # the same recordings for many commands
     for path in (*desk.iterdir(), *(ROOT / name for name in SCRIPTS)):
         (tmp_path / path.name).symlink_to(path)
-    return Place(tmp_path, call, finished_run, shared_folder / "simulated")
+    return Place(tmp_path, call, finished_run, desk.with_name("simulated"))
 
 
 def fill(command: str) -> str:
     """The command without its reader's choices; the console script is the same program."""
-    filled = re.sub("|".join(FILLED), lambda match: FILLED[match[0]], command)
+    filled = command.replace("MODEL", "coulomb_stribeck")
     filled = re.sub(rf"^frictionzoo (?=(?:{'|'.join(COMMANDS)})\b)", "python -m frictionzoo.", filled)
     return re.sub("^frictionzoo ", "python -m frictionzoo.run ", filled)
 
