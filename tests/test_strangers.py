@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import hostile
 import numpy as np
 import pytest
 from conftest import Finished, finish
-from hostile import sign
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hypothesis import given, settings
@@ -52,7 +52,7 @@ def change(path: Path, how: Change) -> None:
     content = json.loads(path.read_text())
     how(content)
     path.write_text(json.dumps(content))
-    sign(path.parents[1] if path.parent.name == ".hydra" else path.parent)
+    hostile.sign(path.parents[1] if path.parent.name == ".hydra" else path.parent)
 
 
 def target(*place: str, name: Any = "stranger.Law") -> Change:
@@ -272,7 +272,7 @@ def test_a_thousand_mutated_runs_and_cards_do_no_harm(finished_run: Callable, st
     source, output, scratch = finished_run("coulomb_smooth")[0], tmp_path / "card", tmp_path / "scratch"
     finish(lambda: card([str(source), "licence=cc-by-4.0", f"output={output}"]))
     scratch.mkdir()
-    program = (str(Path(__file__).with_name("hostile.py")), *map(str, (source, output, scratch)), "1000", "0")
+    program = (hostile.__file__, *map(str, (source, output, scratch)), "1000", "0")
     process = start(program=program, XDG_CACHE_HOME=str(tmp_path / "cache"))
     out, err = process.communicate()
     assert process.returncode == 0, err[-3000:]
