@@ -130,4 +130,4 @@ def test_constraints_are_exact_and_cover_what_the_project_asks_for():
     assert not [version for version in pins.values() if "+" in version]  # a local build is not on PyPI
     project = (ROOT / "pyproject.toml").read_text().split("[project.scripts]")[0]
     asked = {name.lower() for name in re.findall(r'"([A-Za-z][\w-]*)[<>=~][^"]*"', project)}
-    assert len(asked) > 20 and asked - names == {"hatchling"}
+    assert len(asked) > 20 and asked - {"hatchling"} <= names
