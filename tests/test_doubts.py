@@ -180,7 +180,7 @@ def test_a_torque_before_a_gear_and_one_that_was_recorded_late_are_told(recorded
 
     def kinds(ctrl: np.ndarray) -> dict[str, str]:
         spoilt = replace(log, ctrl=ctrl, units={})
-        return {finding.kind: finding.text for finding in find_all(Dataset("one", (spoilt,), (spoilt,)), bench)}
+        return {finding.title: finding.text for finding in find_all(Dataset("one", (spoilt,), (spoilt,)), bench)}
 
     assert kinds(torque) == {}
     assert "force_gain" in kinds(torque / 30)["torque"] and "gear ratio" in kinds(torque / 30)["torque"]
@@ -252,8 +252,8 @@ def test_a_joint_that_others_move_may_brake_them(recorded: tuple[Log, Bench], le
         -0.1,
     )
     told = {bench.nv: list(check_following(both, "", bench, 0, joint, False, None)) for bench in (alone, of)}
-    assert [(fault.kind, fault.certain) for fault in told[1]] == [("ignored", True)]
-    assert [(fault.kind, fault.certain) for fault in told[2]] == [("ignored", False)]
+    assert [(fault.title, fault.certain) for fault in told[1]] == [("ignored", True)]
+    assert [(fault.title, fault.certain) for fault in told[2]] == [("ignored", False)]
 
 
 @needs_data

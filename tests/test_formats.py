@@ -37,11 +37,10 @@ from write_logs import (
 
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.data.columns import to_recording
-from frictionzoo.data.diagnose import refuse_incomplete
 from frictionzoo.data.formats import base, format_names, read_tables, register_format
 from frictionzoo.data.formats.csv import Csv
 from frictionzoo.data.propose import propose
-from frictionzoo.data.recording import Table
+from frictionzoo.data.recording import Table, refuse_incomplete
 
 EXACT = sorted(set(WRITERS) - {"lerobot"})
 

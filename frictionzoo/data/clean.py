@@ -18,8 +18,7 @@ from jaxtyping import Bool, Float
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import JITTER, Log
-from frictionzoo.data.diagnose import refuse_incomplete
-from frictionzoo.data.recording import COMMANDS, HELD, SIGNALS, Recording
+from frictionzoo.data.recording import COMMANDS, HELD, SIGNALS, Recording, refuse_incomplete
 from frictionzoo.data.signals import (
     FOLLOWED,
     check_filter,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Real
 
+from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import Columns
 
 COMMANDS = ("ctrl", "ctrl_velocity", "ctrl_torque", "kp", "kd")
@@ -71,3 +72,32 @@ class Recording:
     simulated: bool | None = None
     notes: tuple[str, ...] = ()
     columns: Mapping[str, Columns] = field(default_factory=dict)
+
+
+def refuse_incomplete(recording: Recording) -> None:
+    """Refuse a recording that no part of the program can use.
+
+    Raises:
+        LogError: qpos or ctrl is missing, shapes disagree, a time is not finite, or fewer than two samples have
+            increasing times.
+    """
+    name, samples = recording.name, len(recording.time)
+    for signal in ("qpos", "ctrl"):
+        if signal not in recording.signals:
+            raise LogError(
+                f"{name}: no {signal}, expected time, qpos and ctrl; name its column in data.columns.{signal}"
+            )
+    for signal, values in recording.signals.items():
+        if values.ndim != 2 or len(values) != samples:
+            raise LogError(f"{name}: {signal} has shape {values.shape}, expected ({samples}, columns) like time")
+    joints, speeds = (recording.signals.get(signal, recording.signals["qpos"]).shape[1] for signal in ("qpos", "qvel"))
+    if speeds != joints:
+        raise LogError(
+            f"{name}: qvel has {speeds} columns and qpos {joints}, expected as many; name them in data.columns.qvel, "
+            "or set it to [] to omit it"
+        )
+    if not np.isfinite(recording.time).all():
+        sample = int(np.argmin(np.isfinite(recording.time)))
+        raise LogError(f"{name}: time is NaN or infinite at sample {sample}, expected seconds; cut or repair the file")
+    if samples < 2 or not (np.diff(recording.time) > 0).any():
+        raise LogError(f"{name}: {samples} samples at one time, expected at least 2 in a row; check data.columns.time")

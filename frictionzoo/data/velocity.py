@@ -36,8 +36,9 @@ def _find_fault(time: Signal, position: Signal, velocity: Signal, gap: float) ->
         return ""
     if not np.ptp(velocity[has_both]) > 0:
         return f"is constantly {velocity[has_both][0]:.3g} while qpos moves"
-    spread = float(np.std(derive_velocity(time, repair_spikes(position))))
-    if np.std(velocity[has_both]) < DEAD * spread and find_velocity_lag(time, position, velocity) is None:
+    repaired = repair_spikes(position)
+    spread = float(np.std(derive_velocity(time, repaired)))
+    if np.std(velocity[has_both]) < DEAD * spread and find_velocity_lag(time, repaired, velocity) is None:
         return f"varies by {np.std(velocity[has_both]):.2g} and the position's derivative by {spread:.2g}"
     return ""
 

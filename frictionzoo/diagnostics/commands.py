@@ -9,7 +9,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
 from frictionzoo.data.signals import Signal
 from frictionzoo.diagnostics.balance import commanded_torque
-from frictionzoo.diagnostics.findings import Finding, turn
+from frictionzoo.diagnostics.findings import Finding, of_joint, turn
 
 SATURATED = 0.2  # share of samples at the ends of the range above which a command may be clipped
 PAST = 0.1  # overshoot of the position beyond a clipped command's range, as a share of that range
@@ -24,7 +24,7 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
     low, high = float(ctrl.min()), float(ctrl.max())
     if low == high:
         text = f"ctrl{of} is constant, {low:.4g}: the motion contains little information; check data.columns.ctrl"
-        yield Finding("constant", False, text)
+        yield Finding("caution", "constant", text)
         return
     # Resampling rounds levels and adds values between them.
     share = np.round((ctrl - low) / (high - low), 6)
@@ -37,22 +37,25 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
         text = f"ctrl{of} is at an end of its range, {low:.4g} or {high:.4g}, in {100 * ends:.0f} % of the samples: it "
         text += "seems to be clipped; record the command that the drive received (data.columns.ctrl), or a smaller "
         text += "motion"
-        yield Finding("saturated", False, text)
+        yield Finding("caution", "saturated", text)
 
 
-def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Finding]:
+def check_work(bench: Bench, joint: int, share: float) -> Iterator[Finding]:
     """Find a command that takes energy from the drive; uncertain if other joints move this one."""
     if not takes_energy(bench, joint, share):
         return
-    text = f"ctrl{of} takes energy from the drive ({100 * share:.0f} % of the energy that they exchange)"
+    text = (
+        f"ctrl{of_joint(bench.joints, joint)} takes energy from the drive ({100 * share:.0f} % of the energy that they "
+    )
+    text += "exchange)"
     if _is_alone(bench, joint):
         message = f"{text}, expected to supply it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or check "
         message += "qpos and ctrl for swapped columns, units, zero and time shift (data.columns, data.units, "
         message += "data.clean.command_lag)"
-        yield Finding("work", True, message, repairs=turn(joint, "ctrl"))
+        yield Finding("bad", "work", message, repairs=turn(joint, "ctrl"))
     else:
         message = f"{text}: correct if gravity or other joints move it, else check its sign (data.sign.ctrl)"
-        yield Finding("work", False, message)
+        yield Finding("caution", "work", message)
 
 
 def takes_energy(bench: Bench, joint: int, share: float) -> bool:

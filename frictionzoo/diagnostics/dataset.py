@@ -1,5 +1,6 @@
 """Diagnostics of a whole data set: declared units, excitation, and limits and contacts at the recorded positions."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import mujoco
@@ -8,7 +9,7 @@ import numpy as np
 from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import can_collide
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.diagnostics.findings import Finding
+from frictionzoo.diagnostics.findings import Finding, of_joint
 
 UNITS = {
     **dict.fromkeys(("rad", "mrad", "deg", "rev"), "hinge"),
@@ -35,20 +36,20 @@ def check_declared(dataset: Dataset, bench: Bench, to_position: bool) -> Iterato
             text = f"{dataset.name}: {signal} is in {unit[signal]}, expected {MEANS[bench.joint_type]} for {joints} of "
             text += f"{bench.source}, a {bench.joint_type}; choose the bench of these recordings (bench=NAME, or "
             text += f"bench.mjcf and bench.joint), or set data.units.{signal}"
-            yield Finding(f"declared {signal}", True, text)
+            yield Finding("bad", f"declared {signal}", text)
         elif signal == "ctrl" and kind is not None and (kind != "effort") != to_position:
             law = type(bench.actuator).__name__
             wanted = "a desired position" if to_position else "a torque, force or current"
             text = f"{dataset.name}: ctrl is in {unit[signal]}, expected {wanted} for {law} of {bench.source}; choose "
             text += "the bench of these recordings (bench=NAME) or its actuator (bench.actuator._target_), or set "
             text += "data.units.ctrl"
-            yield Finding("declared ctrl", True, text)
+            yield Finding("bad", "declared ctrl", text)
 
 
 def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:
     """Find joints that never reverse or that move at one speed."""
     for joint, name in enumerate(bench.joints):
-        of = f" of {name}" if bench.nv > 1 else ""
+        of = of_joint(bench.joints, joint)
         velocity = np.concatenate([log.qvel[:, joint] for log in logs])
         top = float(np.quantile(np.abs(velocity), 0.99))
         moving = velocity[np.abs(velocity) > MOVING * top]
@@ -59,22 +60,16 @@ def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:
         if back < ONE_WAY:
             text = f"the motion{of} never reverses ({100 * back:.2g} % of it goes the other way): dry friction and a "
             text += "constant torque cannot be distinguished; record both directions and list them in data.train"
-            yield Finding("one way", False, text, joint=name)
+            yield Finding("caution", "one way", text, joint=name)
         if fast < ONE_SPEED * slow:
             text = f"the motion{of} has one speed, {slow:.3g} to {fast:.3g} in most samples: dry and viscous friction "
             text += "cannot be distinguished; record slower and faster motion and list it in data.train, or fix one "
             text += "of them (model=mujoco_default model.params.damping.identify=false)"
-            yield Finding("one speed", False, text, joint=name)
+            yield Finding("caution", "one speed", text, joint=name)
 
 
 def check_motion(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
-    """Find limits and contacts of the MuJoCo model at the recorded positions."""
-    yield from _find_limits(dataset, bench)
-    yield from _find_pushes(dataset, bench)
-
-
-def _find_limits(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
-    """Find motion beyond limits of the file that the bench ignores."""
+    """Find motion beyond limits that the bench ignores, and limits and contacts of the MuJoCo model in its course."""
     qpos = np.concatenate([log.qpos for log in dataset.logs])
     for joint, (low, high), positions in zip(bench.joints, bench.unlimited, qpos.T, strict=True):
         beyond = (positions < low) | (positions > high)
@@ -83,27 +78,21 @@ def _find_limits(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
             text = f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
             text += f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero or sign of "
             text += "the joint differ from the file (data.sign, bench.limits=keep)"
-            yield Finding("limits", False, text, joint=joint)
-
-
-def _find_pushes(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
-    """Find active limits and contacts in MuJoCo C at the recorded positions."""
+            yield Finding("caution", "limits", text, joint=joint)
     model = bench.compile(constraint=False)
     limited = model.jnt_limited.any() or model.tendon_limited.any()
     if not (limited or model.npair or can_collide(model)):
         return
-    data, counts = mujoco.MjData(model), dict[str, int]()
-    qpos = np.concatenate([log.qpos for log in dataset.logs])
+    data, counts = mujoco.MjData(model), Counter[str]()
     qpos = qpos[:: max(1, len(qpos) // STATES)]
     for position in qpos:
         data.qpos[:] = position
         mujoco.mj_fwdPosition(model, data)
-        for text in {*_limits(model, data), *_contacts(model, data)}:
-            counts[text] = counts.get(text, 0) + 1
+        counts.update({*_limits(model, data), *_contacts(model, data)})
     for text, times in counts.items():
         message = f"{text} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo applies a force there, "
         message += "which biases friction; check these positions, or remove the limit or contact from the MJCF"
-        yield Finding(text, False, message)
+        yield Finding("caution", text, message)
 
 
 def _limits(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[str]:

@@ -1,7 +1,7 @@
-"""Findings of the diagnostics, their repairs, and their conversion to warnings or errors; checks of pages."""
+"""Findings of checks of data and results, their repairs, and their conversion to warnings or errors."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
@@ -24,52 +24,45 @@ class Repair(NamedTuple):
     is_factor: bool = False
 
 
-class Doubt(NamedTuple):
-    """A warning about a likely fault; all its repairs are needed, and there are none if the user has to decide."""
-
-    text: str
-    repairs: tuple[Repair, ...] = ()
-
-
-class Finding(NamedTuple):
-    """A fault of a recording, or of its bench.
+@dataclass(frozen=True)
+class Finding:
+    """Outcome of one check of recordings, of their bench or of a result.
 
     Attributes:
-        kind: Kind of fault, the same in all recordings.
-        certain: Whether the fault is certain; else it is likely.
-        text: A sentence: value, expected value, and the option that repairs it.
+        state: `good`; `note`; `caution` for a problem or a likely fault; `bad` for a severe problem or a certain fault.
+        title: What was checked, the same in all recordings.
+        text: Outcome; of a fault the value, the expected value, and the option that repairs it.
+        option: Option to add to the command line; None for none.
         log: Name of the recording; empty for all recordings together.
         joint: Name of the joint; empty for no joint in particular.
         repairs: Options that are all needed; empty if `text` leaves a choice.
-    """
-
-    kind: str
-    certain: bool
-    text: str
-    log: str = ""
-    joint: str = ""
-    repairs: tuple[Repair, ...] = ()
-
-
-@dataclass(frozen=True)
-class Check:
-    """Outcome of one check of a result or of data, as pages and `inspect.json` list it.
-
-    Attributes:
-        state: `good`, `note`, `caution` or `bad`.
-        text: Outcome in plain sentences.
-        option: Option to add to the command line; None for none.
     """
 
     state: str
     title: str
     text: str
     option: str | None = None
+    log: str = ""
+    joint: str = ""
+    repairs: tuple[Repair, ...] = ()
 
     @property
     def doubtful(self) -> bool:
         """Whether the check found a problem."""
         return self.state in ("caution", "bad")
+
+    @property
+    def certain(self) -> bool:
+        """Whether a fault is certain; else it is likely."""
+        return self.state == "bad"
+
+
+Check = Finding
+
+
+def of_joint(joints: Sequence[str], joint: int) -> str:
+    """Return ` of NAME` for messages; empty on a bench with one joint."""
+    return f" of {joints[joint]}" if len(joints) > 1 else ""
 
 
 def say_sign(joint: int, count: int) -> str:
@@ -83,27 +76,24 @@ def turn(joint: int, *signals: str) -> tuple[Repair, ...]:
     return tuple(Repair(f"data.sign.{signal}", -1, joint, is_factor=True) for signal in signals)
 
 
-def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Doubt]:
-    """Refuse certain findings if `strict`, and return the others, each kind once per joint.
+def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Finding]:
+    """Refuse certain faults if `strict`, and return the others, each kind once per joint.
 
     `findings` begin with the most important one; `count` is the number of recordings.
 
     Raises:
-        LogError: A finding is certain, and `checkup` is `strict`.
+        LogError: A fault is certain, and `checkup` is `strict`.
         ConfigError: `checkup` is not in `CHECKUPS`.
     """
     if checkup not in CHECKUPS:
         raise ConfigError(f"checkup={checkup}: unknown; {closest(str(checkup), CHECKUPS)}")
     groups: dict[tuple[str, str], tuple[Finding, set[str]]] = {}
     for finding in findings:
+        text = f"{finding.log}: {finding.text}" if finding.log else finding.text
         if finding.certain and checkup == "strict":
-            raise LogError(f"{_say(finding)}; if the recording is correct, set checkup=warn")
-        groups.setdefault((finding.kind, finding.joint), (finding, set()))[1].add(finding.log)
+            raise LogError(f"{text}; if the recording is correct, set checkup=warn")
+        groups.setdefault((finding.title, finding.joint), (replace(finding, text=text), set()))[1].add(finding.log)
     return [
-        Doubt(_say(first) + (f" ({len(logs)} of {count} logs)" if count > 1 and first.log else ""), first.repairs)
+        replace(first, text=f"{first.text} ({len(logs)} of {count} logs)") if count > 1 and first.log else first
         for first, logs in groups.values()
     ]
-
-
-def _say(finding: Finding) -> str:
-    return f"{finding.log}: {finding.text}" if finding.log else finding.text

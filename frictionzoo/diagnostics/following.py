@@ -80,15 +80,15 @@ def check_following(
     if swapped is not None:
         text = f"qpos{of} follows ctrl of {bench.joints[swapped]}: columns are swapped; put data.columns.ctrl, or "
         text += "data.columns.qpos and data.columns.qvel, into the order of the bench's joints"
-        yield Finding("swapped", True, text)
+        yield Finding("bad", "swapped", text)
     elif opposed < -FOLLOWS and -opposed > usual.correlation.max():
         text = f"qpos{of} moves opposite to ctrl (correlation {opposed:.2f}), expected to follow it; set "
         text += f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel"
-        yield Finding("opposed", True, text, repairs=turn(joint, "ctrl"))
+        yield Finding("bad", "opposed", text, repairs=turn(joint, "ctrl"))
     elif found.likeness.correlation[best] < IGNORES:
         text = f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): check "
         text += "that ctrl is a desired position (bench.actuator, or another bench) of this joint (data.columns.ctrl)"
-        yield Finding("ignored", takes_energy(bench, joint, found.work), text)
+        yield Finding("bad" if takes_energy(bench, joint, found.work) else "caution", "ignored", text)
     elif found.likeness.correlation[best] > FOLLOWS:
         yield from () if drifts else _check_time(of, found, least)
         yield from _check_size(of, found, slide)
@@ -122,7 +122,7 @@ def check_asked(log: Log, of: str, joint: int) -> Iterator[Finding]:
             text = f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
             text += f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the "
             text += "bench of these recordings (bench=NAME) or a position actuator (bench.actuator._target_)"
-            yield Finding("asked", False, text)
+            yield Finding("caution", "asked", text)
 
 
 def check_drift(log: Log, found: Followed) -> Finding | None:
@@ -161,11 +161,11 @@ def _check_size(of: str, found: Followed, slide: bool) -> Iterator[Finding]:
     if scale > LARGER or scale < 1 / SMALLER:
         text = f"qpos{of} moves by {moved:.3g} while ctrl spans {asked:.3g}, {scale:.4g} times as far: "
         text += f"set {_mend(scale, slide)}"
-        yield Finding("size", scale > LARGER or scale < 1 / FAR_SMALLER, text)
+        yield Finding("bad" if scale > LARGER or scale < 1 / FAR_SMALLER else "caution", "size", text)
     elif apart > APART * max(moved, asked):
         text = f"qpos{of} and ctrl differ by {apart:.3g} or more over a motion of {max(moved, asked):.3g}: check that "
         text += "both have the same zero (bench.params.position_offset)"
-        yield Finding("zero", False, text)
+        yield Finding("caution", "zero", text)
 
 
 def _mend(scale: float, slide: bool) -> str:

@@ -87,7 +87,7 @@ def find_drift(found: list[tuple[float, float] | None]) -> Finding | None:
     text = f"the motion lags ctrl by {1e3 * first:.0f} ms at the start and by {1e3 * last:.0f} ms at the end: their "
     text += "clocks drift apart; record both with one clock and name its column (data.columns.time), or cut the "
     text += "recording into pieces"
-    return Finding("drift", False, text) if abs(last - first) > max(DRIFT, scatter / STEADY) else None
+    return Finding("caution", "drift", text) if abs(last - first) > max(DRIFT, scatter / STEADY) else None
 
 
 def find_shift(moves: str, lag: float, settles: float | None = None) -> Finding:
@@ -99,14 +99,14 @@ def find_shift(moves: str, lag: float, settles: float | None = None) -> Finding:
         command_lag, hint = (f"{-lag:.2g}", "") if settles is None else (f"{-lag + settles:.2g}", ", or its true lag")
         text = f"{moves} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
         text += f"data.clean.command_lag={command_lag} (s){hint}"
-        return Finding("early", True, text, repairs=(Repair("data.clean.command_lag", float(command_lag)),))
+        return Finding("bad", "early", text, repairs=(Repair("data.clean.command_lag", float(command_lag)),))
     gains = "" if settles is None else f"; the controller's gains explain {1e3 * settles:.3g} ms"
     high = f"{1.5 * lag:.2g}"
     text = f"{moves} lags ctrl by {1e3 * lag:.3g} ms{gains}: identify bench.params.delay "
     text += f"(bench.params.delay.identify=true and bench.params.delay.high={high}), or check that the columns have "
     text += "the same times"
     repairs = Repair("bench.params.delay.identify", True), Repair("bench.params.delay.high", float(high))
-    return Finding("late", False, text, repairs=repairs)
+    return Finding("caution", "late", text, repairs=repairs)
 
 
 def pick_lag(lags: Float[np.ndarray, "lags"], misfit: Float[np.ndarray, "lags"]) -> float | None:

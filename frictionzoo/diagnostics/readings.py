@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from frictionzoo.bench import Bench
@@ -17,11 +18,10 @@ AS_GOOD = 1.5  # factor on the best reading's unexplained share up to which anot
 GAINED = 0.1  # smallest reduction of the unexplained share, summed over joints
 
 
-def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
+def check_readings(log: Log, bench: Bench, model: mujoco.MjModel) -> Iterator[Finding]:
     """Find reordered or reversed joints that explain the torque of a recording much better."""
     if bench.nv == 1 or log.samples <= SHORT:
         return
-    model = bench.compile(constraint=False)
     unchanged = balance(log, bench, model)
     unexplained = np.zeros(1) if unchanged is None else mismatch(unchanged)
     if unexplained.max() < WORTH:
@@ -40,7 +40,7 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
         sentences = [sentence for new, old, sentence, _ in sorted(better) if new < AS_GOOD * after and old == before]
         text = "the actuators' torque matches the torque that the links need much better (unexplained share "
         text += f"{before:.2g}, then {after:.2g}, summed over coupled joints) if {'; or if '.join(sentences)}"
-        yield Finding("reading", False, text, log.name, repairs=repairs)
+        yield Finding("caution", "reading", text, log=log.name, repairs=repairs)
 
 
 def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Log], tuple[Repair, ...]]]:

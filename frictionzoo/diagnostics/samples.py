@@ -1,10 +1,10 @@
 """Diagnostics of single signals, and of the measured velocity against the position."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
@@ -17,7 +17,7 @@ from frictionzoo.data.signals import (
     find_velocity_lag,
     repair_spikes,
 )
-from frictionzoo.diagnostics.findings import Finding, Repair
+from frictionzoo.diagnostics.findings import Finding, Repair, of_joint
 from frictionzoo.diagnostics.lags import compare
 
 LAGGING = 0.004  # s, largest accepted lag of a measured velocity
@@ -49,34 +49,27 @@ def check_clock(log: Log) -> Iterator[Finding]:
         text = f"{log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s in a drive's recording; "
         text += f"set data.units.time{'=' + unit if log.timestep > SLOWEST else ''}, or, if the times are correct, "
         text += "record faster or set a shorter data.clean.step"
-        yield Finding("clock", True, text, log.name)
+        yield Finding("bad", "clock", text, log=log.name)
 
 
-def find_isolated(name: str, values: Signal) -> Bool[np.ndarray, "time"]:
-    """Return which samples of a signal are outliers, for `qpos` also spikes within the motion."""
-    far = find_outliers(values)
-    if name == "qpos":
-        repaired = repair_spikes(values)
-        far |= np.abs(values - repaired) > SPIKE * np.ptp(repaired)
-    return far
-
-
-def find_outlying(log: Log, name: str, of: str, values: Signal, far: Bool[np.ndarray, "time"]) -> Finding:
-    """Return the finding of the outliers `far` of a signal."""
-    index = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
-    text = f"{name}{of} has outliers ({far.sum()}), such as {values[index]:.4g} at {log.time[index]:.4g} s; "
-    text += "set data.clean.spikes=repair"
-    return Finding(f"outliers {name}", False, text, repairs=(Repair("data.clean.spikes", "repair"),))
-
-
-def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
-    """Return a signal with outliers replaced by linear interpolation."""
-    usable = np.flatnonzero(~far)
-    return np.interp(np.arange(len(values)), usable, values[usable]) if far.any() else values
-
-
-def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[Finding]:
-    """Find faults of the position alone; a certain fault ends the check."""
+def check_signals(
+    log: Log, bench: Bench, joint: int, cleaned: Mapping[str, Float[np.ndarray, "time nv"]]
+) -> Iterator[Finding]:
+    """Check each signal of a joint, and replace outliers in `cleaned` by linear interpolation for all later checks."""
+    of = of_joint(bench.joints, joint)
+    for name, signals in cleaned.items():
+        values = signals[:, joint]
+        far = find_outliers(values)
+        if name == "qpos":  # also spikes within the motion
+            repaired = repair_spikes(values)
+            far |= np.abs(values - repaired) > SPIKE * np.ptp(repaired)
+        if far.any():
+            index = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
+            text = f"{name}{of} has outliers ({far.sum()}), such as {values[index]:.4g} at {log.time[index]:.4g} s; "
+            text += "set data.clean.spikes=repair"
+            yield Finding("caution", f"outliers {name}", text, repairs=(Repair("data.clean.spikes", "repair"),))
+            signals[:, joint] = np.interp(np.arange(len(values)), np.flatnonzero(~far), values[~far])
+    qpos, qvel, ctrl = (cleaned[name][:, joint] for name in ("qpos", "qvel", "ctrl"))
     fault = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
     if fault is None and bench.joint_type == "hinge":
         fault = _find_wrapping(of, qpos)
@@ -86,8 +79,14 @@ def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterato
     if (apart := _apart(qpos)) > COARSE:
         text = f"qpos{of} differs from an interpolation of its neighbouring samples by {100 * apart:.0f} % of its "
         text += "spread: it is sampled too slowly and may be aliased; record faster, or set a shorter data.clean.step"
-        yield Finding("coarse", False, text)
+        yield Finding("caution", "coarse", text)
     yield from _find_frozen(of, qpos)
+    yield from _check_velocity(log, of, joint, qpos, qvel)
+    span, speed = float(np.ptp(qpos)), float(np.quantile(np.abs(qvel), 0.99))
+    if bench.joint_type == "slide" and (span > STROKE or speed > FAST):
+        text = f"qpos{of} moves by {span:.3g} m at up to {speed:.3g} m/s: it looks like millimetres; set "
+        text += "data.units.qpos=mm (also for qvel and a desired position)"
+        yield Finding("bad" if speed > FAST else "caution", "stroke", text)
 
 
 def _find_still(of: str, qpos: Signal, ctrl: Signal) -> Finding | None:
@@ -96,7 +95,7 @@ def _find_still(of: str, qpos: Signal, ctrl: Signal) -> Finding | None:
         return None
     text = f"qpos{of} moves by {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; check "
     text += "whether it was on, and data.columns.qpos"
-    return Finding("still", True, text)
+    return Finding("bad", "still", text)
 
 
 def _find_noise(of: str, qpos: Signal) -> Finding | None:
@@ -107,7 +106,7 @@ def _find_noise(of: str, qpos: Signal) -> Finding | None:
     text = f"qpos{of} jumps between samples like noise ({100 * ratio:.0f} % of white noise), expected a motion; check "
     text += "data.columns.qpos and the sensor, or record faster, with a data.clean.step no longer than the sample "
     text += "interval"
-    return Finding("noise", True, text)
+    return Finding("bad", "noise", text)
 
 
 def _find_wrapping(of: str, qpos: Signal) -> Finding | None:
@@ -117,7 +116,7 @@ def _find_wrapping(of: str, qpos: Signal) -> Finding | None:
         return None
     text = f"qpos{of} jumps by a whole turn {turns.sum()} times, first at sample {int(np.argmax(turns)) + 1}, expected "
     text += "a continuous angle; set data.clean.wrap=6.283185307179586"
-    return Finding("wrapping", True, text, repairs=(Repair("data.clean.wrap", math.tau),))
+    return Finding("bad", "wrapping", text, repairs=(Repair("data.clean.wrap", math.tau),))
 
 
 def _apart(qpos: Signal) -> float:
@@ -137,7 +136,7 @@ def _find_frozen(of: str, qpos: Signal) -> Iterator[Finding]:
         if last - first >= FROZEN and last < len(steps) and steps[last] > max(JUMP * usual, 3 * quantum):
             text = f"qpos{of} is constant from sample {first} on and jumps by {steps[last]:.3g} at sample {last + 1}: "
             text += "the sensor seems to freeze; cut this part out of the recording"
-            yield Finding("frozen", False, text)
+            yield Finding("caution", "frozen", text)
             return
 
 
@@ -159,7 +158,7 @@ def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[Finding]:
     text = f"qpos{of} spans {span / math.tau:.3g} turns{'; ' + ', '.join(why) if why else ''}: it looks like degrees; "
     text += "set data.units.qpos=deg (also for qvel and a desired position), or, if measured before a gear, the gear "
     text += "ratio, as in data.units.qpos=0.02"
-    yield Finding("degrees", bool(why), text)
+    yield Finding("bad" if why else "caution", "degrees", text)
 
 
 def _is_step(quantum: float, turn: float) -> bool:
@@ -167,32 +166,24 @@ def _is_step(quantum: float, turn: float) -> bool:
     return round(bits) in BITS and abs(turn / 2 ** round(bits) / quantum - 1) < EXACT
 
 
-def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[Finding]:
-    """Find a slide with an implausible range or speed."""
-    span, speed = float(np.ptp(qpos)), float(np.quantile(np.abs(qvel), 0.99))
-    if span > STROKE or speed > FAST:
-        text = f"qpos{of} moves by {span:.3g} m at up to {speed:.3g} m/s: it looks like millimetres; set "
-        text += "data.units.qpos=mm (also for qvel and a desired position)"
-        yield Finding("stroke", speed > FAST, text)
-
-
-def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[Finding]:
+def _check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[Finding]:
     """Compare the measured velocity of a joint that moves with the derivative of its position."""
     estimate, repairs = "set data.clean.velocity=estimated", (Repair("data.clean.velocity", "estimated"),)
     if joint in log.without_velocity:
         if not log.velocity_estimated:
             hint = "if another column has it, set data.columns.qvel"
-            yield Finding("velocity", False, f"the recorded velocity{of} is not used, but estimated from qpos; {hint}")
+            text = f"the recorded velocity{of} is not used, but estimated from qpos; {hint}"
+            yield Finding("caution", "velocity", text)
         return
     if not np.ptp(qvel) > 0:
         text = f"qvel{of} is constant, expected the velocity of a joint that moves; {estimate}"
-        yield Finding("velocity", True, text, repairs=repairs)
+        yield Finding("bad", "velocity", text, repairs=repairs)
         return
     lag_and_scale = find_velocity_lag(log.time, qpos, qvel)
     if lag_and_scale is None and find_velocity_lag(log.time, qpos, -qvel) is not None:
         text = f"qvel{of} and the position's derivative have opposite signs, expected the same; set data.sign.qvel=-1, "
         text += "or data.sign.qpos=-1 if that suits the command"
-        yield Finding("velocity sign", True, text)
+        yield Finding("bad", "velocity sign", text)
     elif lag_and_scale is None and len(qpos) > SHORT:
         derived = derive_velocity(log.time, qpos)
         length = min(len(derived), len(qvel))
@@ -201,7 +192,8 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
         # If a joint hardly moves, both are noise.
         text = f"qvel{of} does not match the position's derivative: check for swapped columns (data.columns.qvel), "
         text += f"or {estimate}"
-        yield Finding("velocity", bool(correlation < UNLIKE and _apart(qpos) < SMOOTH), text, repairs=repairs)
+        state = "bad" if correlation < UNLIKE and _apart(qpos) < SMOOTH else "caution"
+        yield Finding(state, "velocity", text, repairs=repairs)
     elif lag_and_scale is not None:
         lag, scale = lag_and_scale
         if abs(lag) > max(LAGGING, 0.75 * log.timestep):
@@ -209,13 +201,13 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
             text = f"{late}{of} lags {other} by {1e3 * abs(lag):.3g} ms; set data.clean.velocity_lag=auto or "
             text += f"data.clean.velocity=estimated{', and identify bench.params.delay' if late == 'qpos' else ''}"
             removal = (Repair("data.clean.velocity_lag", "auto"),) if lag > 0 else repairs
-            yield Finding("lag", False, text, repairs=removal)
+            yield Finding("caution", "lag", text, repairs=removal)
         if abs(scale - 1) > UNITS:
             unit = _suggest(scale)
             text = f"qvel{of} is {scale:.4g} times the position's derivative: check the units of time, qpos and qvel "
             text += f"(data.units{unit}), or set data.clean.velocity=estimated"
-            is_certain = not 1 / OTHER_UNITS < scale < OTHER_UNITS
-            yield Finding("units", is_certain, text, repairs=() if unit else repairs)
+            state = "caution" if 1 / OTHER_UNITS < scale < OTHER_UNITS else "bad"
+            yield Finding(state, "units", text, repairs=() if unit else repairs)
 
 
 def _suggest(scale: float) -> str:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import resources
 from typing import Any
 
@@ -11,20 +11,32 @@ from jaxtyping import Float
 
 from frictionzoo import __version__
 from frictionzoo.core.errors import LogError
-from frictionzoo.core.log import Log, pool_origins
+from frictionzoo.core.log import JITTER, Log, pool_origins
 from frictionzoo.core.output import to_json
 from frictionzoo.core.params import UNITS
 from frictionzoo.data.delay import estimate_delay
-from frictionzoo.data.diagnose import SLOWEST, Diagnosis, diagnose
 from frictionzoo.data.pairing import arrange, describe_columns, has_names, label, reorder
-from frictionzoo.data.recording import Recording
-from frictionzoo.data.signals import TOP, derive_velocity, repair_spikes
+from frictionzoo.data.recording import Recording, refuse_incomplete
+from frictionzoo.data.signals import (
+    GAP,
+    TOP,
+    Signal,
+    count_spikes,
+    derive_velocity,
+    find_quantum,
+    find_velocity_lag,
+    repair_spikes,
+)
 from frictionzoo.diagnostics.survey_findings import list_findings
 
 SCHEMA_VERSION = 3
+OUTLIER = 0.2  # largest plausible deviation of a supply voltage, as a share of its median
+SLOWEST = 0.05  # share of the top speed below which a sample counts as slow
+RESTING = 0.005  # share of the top speed below which a sample counts as standing still
+VOLTAGES = ("vin", "voltage", "supply", "supply_voltage", "input_voltage")  # header fields with the supply voltage
 
 Survey = dict[str, Any]
-"""Content of `inspect.json`."""
+"""Content of `inspect.json`, or a part of it."""
 
 
 def read_schema() -> dict[str, Any]:
@@ -39,6 +51,11 @@ def list_recordings(source: Any) -> list[Recording]:
         LogError: The recordings cannot be read.
     """
     return source.recordings() if hasattr(source, "recordings") else [_as_recording(log) for log in source.load().logs]
+
+
+def _as_recording(log: Log) -> Recording:
+    signals = {"qpos": log.qpos, "qvel": log.qvel, "ctrl": log.ctrl, **log.extras}
+    return Recording(log.name, log.time, signals, log.metadata, log.sha256, log.simulated, columns=log.columns)
 
 
 def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) -> tuple[list[Recording], list[str]]:
@@ -76,30 +93,136 @@ def survey_recordings(
     Raises:
         LogError: A recording is incomplete or too short, or the shapes of its signals disagree.
     """
-    diagnoses = [diagnose(recording) for recording in recordings]
-    joints = min(len(diagnosis.joints) for diagnosis in diagnoses)
-    names = list(names) or [str(number) for number in range(1, joints + 1)]
+    measured = [measure(recording) for recording in recordings]
+    joints, commands = (min(len(entry[part]) for entry in measured) for part in ("joints", "commands"))
+    names = list(names) or list(map(str, range(1, joints + 1)))
+    command_names = names if len(names) == commands else list(map(str, range(1, commands + 1)))
     survey = {
         "schema_version": SCHEMA_VERSION,
         "version": __version__,
-        "data": _describe_data(name, recordings),
+        "data": {
+            "name": name,
+            "origin": pool_origins(recording.simulated for recording in recordings),
+            "recordings": len(recordings),
+            "samples": sum(len(recording.time) for recording in recordings),
+            "duration": sum(float(np.maximum(np.diff(recording.time), 0).sum()) for recording in recordings),
+        },
         "units": {
             dimension: " or ".join(units[dimension] for kind, units in UNITS.items() if joint_type in (None, kind))
             for dimension in ("position", "velocity")
         },
-        "timing": _pool_timing(diagnoses),
-        "joints": [{"name": names[joint]} | _pool_joint(recordings, diagnoses, joint) for joint in range(joints)],
+        "timing": _pool_timing(measured),
+        "joints": [{"name": names[joint]} | _pool_joint(recordings, measured, joint) for joint in range(joints)],
         "columns": describe_columns(recordings, names),
-        "commands": _pool_commands(diagnoses, names),
-        "supply": _pool_supply(diagnoses),
-        "enabled": _spread(diagnosis.enabled for diagnosis in diagnoses),
-        "recordings": [
-            asdict(diagnosis) | {"timing": diagnosis.timing._asdict(), "sha256": recording.sha256}
-            for diagnosis, recording in zip(diagnoses, recordings, strict=True)
+        "commands": [
+            {
+                "name": command_names[column],
+                "range": _envelop(entry["commands"][column]["range"] for entry in measured),
+                "saturated": _spread(entry["commands"][column]["saturated"] for entry in measured),
+            }
+            for column in range(commands)
         ],
+        "supply": _pool_supply([entry["supply"] for entry in measured if entry["supply"] is not None]),
+        "enabled": _spread(entry["enabled"] for entry in measured),
+        "recordings": measured,
     }
     survey = to_json(survey)
-    return survey | {"findings": [asdict(finding) for finding in list_findings(survey)]}
+    keys = ("state", "title", "text", "option")
+    return survey | {"findings": [{key: getattr(one, key) for key in keys} for one in list_findings(survey)]}
+
+
+def measure(recording: Recording) -> Survey:
+    """Return the entry of a recording before cleaning; it may have jitter, gaps, NaN and spikes.
+
+    Raises:
+        LogError: `refuse_incomplete` refuses the recording, or a joint or command has too few finite samples.
+    """
+    refuse_incomplete(recording)
+    signals, enable = recording.signals, recording.signals.get("enable")
+    finite = np.all([np.isfinite(values).all(axis=1) for values in signals.values()], axis=0)
+    measured = signals["qvel"].T if "qvel" in signals else [None] * signals["qpos"].shape[1]
+    return {
+        "name": recording.name,
+        "timing": measure_timing(recording.time),
+        "lost": int((~finite).sum()),
+        "joints": [_measure_joint(recording, *pair) for pair in zip(signals["qpos"].T, measured, strict=True)],
+        "commands": [_measure_command(recording.name, command) for command in signals["ctrl"].T],
+        "supply": _measure_supply(signals.get("supply"), recording.fields),
+        "enabled": None if enable is None else float((enable > 0.5).mean()),
+        "sha256": recording.sha256,
+    }
+
+
+def measure_timing(time: Signal) -> Survey:
+    """Return a recording's clock from its sample times [s], with at least one positive interval."""
+    steps = np.diff(time)
+    forward = steps[steps > 0]
+    interval = float(np.median(forward))
+    steady = forward[forward <= GAP * interval]
+    deviation = np.abs(steady / interval - 1)
+    return {
+        "samples": len(time),
+        "duration": float(forward.sum()),
+        "interval": interval,
+        "jitter": float((deviation > JITTER).mean()),
+        "worst": float(deviation.max()),
+        "duplicates": int((steps == 0).sum()),
+        "missing": int((np.round(steady[steady > 1.5 * interval] / interval) - 1).sum()),
+        "gaps": len(forward) - len(steady),
+        "resets": int((steps < 0).sum()),
+    }
+
+
+def _measure_joint(recording: Recording, position: Signal, measured: Signal | None) -> Survey:
+    finite = position[np.isfinite(position)]
+    if len(finite) < 2:
+        raise LogError(f"{recording.name}: qpos holds {len(finite)} finite samples; check data.columns.qpos")
+    smooth = repair_spikes(position)
+    velocity = derive_velocity(recording.time, smooth)
+    match = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
+    lag, scale = match or (None, None)
+    low, high = _range(velocity)
+    top = max(-low, high)
+    return {
+        "position": _range(finite),
+        "position_quantum": find_quantum(position),
+        "spikes": count_spikes(position),
+        "velocity": (low, high),
+        "velocity_quantum": None if measured is None else find_quantum(measured),
+        "velocity_lag": lag,
+        "velocity_scale": scale,
+        "top_speed": top,
+        "slow": float((np.abs(velocity) <= SLOWEST * top).mean()),
+        "rest": float((np.abs(velocity) <= RESTING * top).mean()),
+    }
+
+
+def _measure_command(name: str, command: Signal) -> Survey:
+    finite = command[np.isfinite(command)]
+    if not len(finite):
+        raise LogError(f"{name}: ctrl holds no finite sample; check data.columns.ctrl")
+    low, high = float(finite.min()), float(finite.max())
+    share = float(((finite == low) | (finite == high)).mean()) if high > low else 0.0
+    return {"range": (low, high), "saturated": share}
+
+
+def _measure_supply(supply: Float[np.ndarray, "time columns"] | None, fields: Mapping[str, Any]) -> Survey | None:
+    if supply is None or not np.isfinite(supply).any():
+        return None
+    field = next((name for name in VOLTAGES if isinstance(fields.get(name), int | float)), None)
+    median, voltages = float(np.nanmedian(supply)), supply[np.isfinite(supply)]
+    return {
+        "median": median,
+        "range": (float(voltages.min()), float(voltages.max())),
+        "outliers": int((np.abs(voltages - median) > OUTLIER * abs(median)).sum()),
+        "field": field,
+        "stated": None if field is None else float(fields[field]),
+    }
+
+
+def _range(values: Float[np.ndarray, "samples"]) -> tuple[float, float]:
+    low, high = np.quantile(values, [TOP, 1 - TOP])
+    return float(low), float(high)
 
 
 def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "samples"]:
@@ -107,42 +230,27 @@ def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.nda
     return np.concatenate([derive_velocity(r.time, repair_spikes(r.signals["qpos"][:, joint])) for r in recordings])
 
 
-def _as_recording(log: Log) -> Recording:
-    signals = {"qpos": log.qpos, "qvel": log.qvel, "ctrl": log.ctrl, **log.extras}
-    return Recording(log.name, log.time, signals, log.metadata, log.sha256, log.simulated, columns=log.columns)
+def _pool_timing(measured: Sequence[Survey]) -> Survey:
+    timings = [entry["timing"] for entry in measured]
+    spreads = {name: _spread(timing[name] for timing in timings) for name in ("interval", "jitter", "worst")}
+    totals = {name: sum(timing[name] for timing in timings) for name in ("duplicates", "missing", "gaps", "resets")}
+    return spreads | totals | {"lost": sum(entry["lost"] for entry in measured)}
 
 
-def _describe_data(name: str, recordings: Sequence[Recording]) -> dict[str, Any]:
-    return {
-        "name": name,
-        "origin": pool_origins(recording.simulated for recording in recordings),
-        "recordings": len(recordings),
-        "samples": sum(len(recording.time) for recording in recordings),
-        "duration": sum(float(np.maximum(np.diff(recording.time), 0).sum()) for recording in recordings),
-    }
-
-
-def _pool_timing(diagnoses: Sequence[Diagnosis]) -> dict[str, Any]:
-    timings = [diagnosis.timing for diagnosis in diagnoses]
-    spreads = {name: _spread(getattr(timing, name) for timing in timings) for name in ("interval", "jitter", "worst")}
-    totals = {name: sum(getattr(t, name) for t in timings) for name in ("duplicates", "missing", "gaps", "resets")}
-    return spreads | totals | {"lost": sum(diagnosis.lost for diagnosis in diagnoses)}
-
-
-def _pool_joint(recordings: Sequence[Recording], diagnoses: Sequence[Diagnosis], joint: int) -> dict[str, Any]:
-    joints = [diagnosis.joints[joint] for diagnosis in diagnoses]
+def _pool_joint(recordings: Sequence[Recording], measured: Sequence[Survey], joint: int) -> Survey:
+    joints = [entry["joints"][joint] for entry in measured]
     velocity = pool_velocities(recordings, joint)
     low, high = np.quantile(velocity, [TOP, 1 - TOP])
     top = max(-low, high)
     delay = estimate_delay(recordings, joint)
     names = ("position_quantum", "velocity_quantum", "velocity_lag", "velocity_scale", "top_speed", "rest")
     return {
-        "position": _envelop(entry.position for entry in joints),
+        "position": _envelop(entry["position"] for entry in joints),
         "velocity": [low, high],
-        **{name: _spread(getattr(entry, name) for entry in joints) for name in names},
+        **{name: _spread(entry[name] for entry in joints) for name in names},
         "measured": all("qvel" in recording.signals for recording in recordings),
-        "spikes": sum(entry.spikes for entry in joints),
-        "spiky": sum(entry.spikes > 0 for entry in joints),
+        "spikes": sum(entry["spikes"] for entry in joints),
+        "spiky": sum(entry["spikes"] > 0 for entry in joints),
         "slow": {"speed": SLOWEST * top, "share": float((np.abs(velocity) <= SLOWEST * top).mean())},
         "forward": float((velocity > SLOWEST * top).mean()),
         "backward": float((velocity < -SLOWEST * top).mean()),
@@ -150,31 +258,16 @@ def _pool_joint(recordings: Sequence[Recording], diagnoses: Sequence[Diagnosis],
     }
 
 
-def _pool_commands(diagnoses: Sequence[Diagnosis], names: Sequence[str]) -> list[dict[str, Any]]:
-    count = min(len(diagnosis.commands) for diagnosis in diagnoses)
-    columns = [[diagnosis.commands[column] for diagnosis in diagnoses] for column in range(count)]
-    names = names if len(names) == count else [str(number) for number in range(1, count + 1)]
-    return [
-        {
-            "name": names[column],
-            "range": _envelop(c.range for c in commands),
-            "saturated": _spread(c.saturated for c in commands),
-        }
-        for column, commands in enumerate(columns)
-    ]
-
-
-def _pool_supply(diagnoses: Sequence[Diagnosis]) -> dict[str, Any] | None:
-    supplies = [diagnosis.supply for diagnosis in diagnoses if diagnosis.supply is not None]
+def _pool_supply(supplies: Sequence[Survey]) -> Survey | None:
     if not supplies:
         return None
     return {
-        "measured": _spread(supply.median for supply in supplies),
-        "range": _envelop(supply.range for supply in supplies),
-        "outliers": sum(supply.outliers for supply in supplies),
-        "outlying": sum(supply.outliers > 0 for supply in supplies),
-        "field": next((supply.field for supply in supplies if supply.field is not None), None),
-        "stated": _spread(supply.stated for supply in supplies),
+        "measured": _spread(supply["median"] for supply in supplies),
+        "range": _envelop(supply["range"] for supply in supplies),
+        "outliers": sum(supply["outliers"] for supply in supplies),
+        "outlying": sum(supply["outliers"] > 0 for supply in supplies),
+        "field": next((supply["field"] for supply in supplies if supply["field"] is not None), None),
+        "stated": _spread(supply["stated"] for supply in supplies),
     }
 
 

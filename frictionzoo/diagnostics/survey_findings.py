@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from frictionzoo.core.log import JITTER
-from frictionzoo.diagnostics.findings import Check
+from frictionzoo.diagnostics.findings import Finding
 
 SAME = 1e-3  # relative difference of sample intervals above which recordings cannot be fitted together
 UNITS = 0.1  # relative difference of measured velocity and derivative above which their units are suspect
@@ -18,7 +18,6 @@ SATURATED = 0.05  # share of samples at an end of the command's range above whic
 TURNS = 20.0  # range of positions above which they may be degrees [rad]
 SURE = 0.003  # lower quartile of a delay below which it is not distinguishable from 0 [s]
 
-DEGREES = "data.units.qpos=deg"
 FAULTS = {  # faults of clock and samples: singular, plural
     "duplicates": ("repeated sample", "repeated samples"),
     "missing": ("missing sample", "missing samples"),
@@ -28,174 +27,160 @@ FAULTS = {  # faults of clock and samples: singular, plural
 }
 
 
-def list_findings(survey: Mapping[str, Any]) -> Iterator[Check]:
+def list_findings(survey: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield problems and passed checks of a survey without findings."""
-    yield _find_origin(survey["data"])
-    yield _find_jitter(survey)
-    yield _find_breaks(survey["timing"])
-    for joint in survey["joints"]:
-        which = f", joint {joint['name']}" if len(survey["joints"]) > 1 else ""
-        yield from (replace(finding, title=f"{finding.title}{which}") for finding in _find_in_joint(joint, survey))
-    for command in survey["commands"]:
-        which = f", joint {command['name']}" if len(survey["commands"]) > 1 else ""
-        yield from (replace(finding, title=f"{finding.title}{which}") for finding in _find_saturation(command))
-    yield from _find_supply(survey["supply"], survey["data"]["recordings"])
-    yield from _find_off(survey["enabled"])
+    yield _check_origin(survey["data"])
+    yield _check_clock(survey["timing"])
+    yield _check_completeness(survey["timing"])
+    for part, check in (("joints", _check_joint), ("commands", _check_command)):
+        for entry in survey[part]:
+            which = f", joint {entry['name']}" if len(survey[part]) > 1 else ""
+            yield from (replace(finding, title=f"{finding.title}{which}") for finding in check(entry, survey))
+    if survey["supply"] is not None:
+        yield from _check_supply(survey["supply"], survey["data"]["recordings"])
+    enabled = survey["enabled"]
+    if enabled is not None and enabled["low"] < 1:
+        text = f"The drive is off for up to {100 * (1 - enabled['low']):.0f} % of a recording: the bench's actuator "
+        yield Finding("note", "Drive off", f"{text}model needs an input named enable.")
 
 
-def _find_in_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Check]:
-    yield _find_spikes(joint, survey["data"]["recordings"])
-    yield _find_resolution(joint, survey["timing"]["interval"]["median"], survey["units"]["position"])
-    yield from _find_degrees(joint)
-    yield _find_lag(joint, survey["timing"]["interval"]["median"])
-    yield _find_delay(joint)
-    yield from _find_slowness(joint, survey["units"]["velocity"])
-    yield from _find_direction(joint)
+def _check_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Finding]:
+    interval, units = survey["timing"]["interval"]["median"], survey["units"]
+    yield _check_spikes(joint, survey["data"]["recordings"])
+    yield _check_resolution(joint, interval, units["position"])
+    yield from _check_units(joint)
+    yield _check_lag(joint, interval)
+    yield _check_delay(joint["delay"])
+    yield from _check_motion(joint, units["velocity"])
 
 
-def _find_origin(data: Mapping[str, Any]) -> Check:
+def _check_origin(data: Mapping[str, Any]) -> Finding:
     if data["origin"] == "simulated":
-        return Check("note", "Simulated data", "A simulator made the data: they show nothing about hardware.")
+        return Finding("note", "Simulated data", "A simulator made the data: they show nothing about hardware.")
     if data["origin"] == "hardware":
-        return Check("good", "Hardware data", "Recorded on hardware, according to data.origin.")
+        return Finding("good", "Hardware data", "Recorded on hardware, according to data.origin.")
     text = "Your recordings. data.origin does not state whether they come from hardware."
-    return Check("note", "Origin", text, "data.origin=hardware")
+    return Finding("note", "Origin", text, "data.origin=hardware")
 
 
-def _find_jitter(survey: Mapping[str, Any]) -> Check:
-    interval, jitter = survey["timing"]["interval"], survey["timing"]["jitter"]
+def _check_clock(timing: Mapping[str, Any]) -> Finding:
+    interval, jitter = timing["interval"], timing["jitter"]
     low, median, high = (1e3 * interval[key] for key in ("low", "median", "high"))
     differ = high / low - 1 > SAME
     if not jitter["high"] and not differ:
-        return Check("good", "Clock", f"All intervals are {median:.4g} ms, within {100 * JITTER:g} %.")
+        return Finding("good", "Clock", f"All intervals are {median:.4g} ms, within {100 * JITTER:g} %.")
     text = ""
     if jitter["high"]:
-        text = f"{100 * jitter['median']:.2g} % of a recording's intervals (median) differ by more "
-        worst = 100 * survey["timing"]["worst"]["high"]
-        text += f"than {100 * JITTER:g} % from the median interval, by up to {worst:.0f} %. "
+        text = f"{100 * jitter['median']:.2g} % of a recording's intervals (median) differ by more than "
+        text += f"{100 * JITTER:g} % from the median interval, by up to {100 * timing['worst']['high']:.0f} %. "
     if differ:
         text += f"Median intervals range from {low:.4g} to {high:.4g} ms; recordings in one fit need the same. "
     step = float(f"{interval['median']:.2g}")  # rounded as a user would write it
-    return Check("caution", "Clock", f"{text}Resample them.", f"data.clean.step={step:g}")
+    return Finding("caution", "Clock", f"{text}Resample them.", f"data.clean.step={step:g}")
 
 
-def _find_breaks(timing: Mapping[str, Any]) -> Check:
+def _check_completeness(timing: Mapping[str, Any]) -> Finding:
     counts = [f"{timing[key]} {FAULTS[key][timing[key] > 1]}" for key in FAULTS if timing[key]]
     if not counts:
-        return Check("good", "Completeness", "No gaps, and no missing, repeated or NaN samples.")
+        return Finding("good", "Completeness", "No gaps, and no missing, repeated or NaN samples.")
     text = f"Found: {', '.join(counts)}. Cleaning drops repeated samples, interpolates short gaps and splits at long "
     broken = timing["gaps"] or timing["resets"] or timing["lost"]
-    return Check("caution" if broken else "note", "Completeness", f"{text}gaps; data.clean.gap sets the limit.")
+    return Finding("caution" if broken else "note", "Completeness", f"{text}gaps; data.clean.gap sets the limit.")
 
 
-def _find_spikes(joint: Mapping[str, Any], recordings: int) -> Check:
+def _check_spikes(joint: Mapping[str, Any], recordings: int) -> Finding:
     if not joint["spikes"]:
-        return Check("good", "Spikes", "No isolated spike in the position.")
+        return Finding("good", "Spikes", "No isolated spike in the position.")
     text = f"{joint['spiky']} of {recordings} recordings contain isolated spikes in the position, "
     text += f"{joint['spikes']} in total. Repair them, or drop these recordings with data.clean.spikes=drop."
-    return Check("caution", "Spikes", text, "data.clean.spikes=repair")
+    return Finding("caution", "Spikes", text, "data.clean.spikes=repair")
 
 
-def _find_resolution(joint: Mapping[str, Any], interval: float, unit: str) -> Check:
+def _check_resolution(joint: Mapping[str, Any], interval: float, unit: str) -> Finding:
     quantum = joint["position_quantum"]
     if quantum is None:
-        return Check("good", "Resolution", "No encoder steps are visible in the position.")
+        return Finding("good", "Resolution", "No encoder steps are visible in the position.")
     speed = quantum["median"] / interval
     top = max(map(abs, joint["velocity"]))
     text = f"The position moves in steps of {quantum['median']:.3g} {unit}: one step per sample is {speed:.2g} "
     text += f"per second, {100 * speed / max(top, 1e-12):.2g} % of the top speed."
-    if speed > 0.1 * top:
-        return Check("note", "Resolution", f"{text} Use long segments (segments.length).")
-    return Check("note" if speed > 0.01 * top else "good", "Resolution", text)
+    text += " Use long segments (segments.length)." if speed > 0.1 * top else ""
+    return Finding("note" if speed > 0.01 * top else "good", "Resolution", text)
 
 
-def _find_degrees(joint: Mapping[str, Any]) -> Iterator[Check]:
-    low, high = joint["position"]
-    if high - low > TURNS:
-        text = f"Positions span {high - low:.4g}. In radians, these are {(high - low) / math.tau:.3g} turns; "
-        yield Check("caution", "Units", f"{text}they look like degrees.", DEGREES)
-    scale = joint["velocity_scale"]
+def _check_units(joint: Mapping[str, Any]) -> Iterator[Finding]:
+    span, scale = joint["position"][1] - joint["position"][0], joint["velocity_scale"]
+    if span > TURNS:
+        text = f"Positions span {span:.4g}. In radians, these are {span / math.tau:.3g} turns; they look like degrees."
+        yield Finding("caution", "Units", text, "data.units.qpos=deg")
     if scale is not None and abs(scale["median"] - 1) > UNITS:
         text = f"The measured velocity is {scale['median']:.4g} times the position's derivative: their units differ"
-        yield Check("bad", "Units", f"{text} (57.3: deg/s; 9.55: rpm).", "data.units.qvel=...")
+        yield Finding("bad", "Units", f"{text} (57.3: deg/s; 9.55: rpm).", "data.units.qvel=...")
 
 
-def _find_lag(joint: Mapping[str, Any], interval: float) -> Check:
-    lag = joint["velocity_lag"]
+def _check_lag(joint: Mapping[str, Any], interval: float) -> Finding:
+    lag, estimate = joint["velocity_lag"], "data.clean.velocity=estimated"
     if not joint["measured"]:
-        text = "No velocity was recorded: it is estimated from the position."
-        return Check("note", "Velocity", text, "data.clean.velocity=estimated")
+        return Finding("note", "Velocity", "No velocity was recorded: it is estimated from the position.", estimate)
     if lag is None:
         text = "The measured velocity does not match the position's derivative at any delay."
-        return Check("caution", "Velocity", text, "data.clean.velocity=estimated")
+        return Finding("caution", "Velocity", text, estimate)
     if abs(lag["median"]) < max(0.5 * interval, 0.001):
-        return Check("good", "Velocity", "The measured velocity has no lag against the position.")
+        return Finding("good", "Velocity", "The measured velocity has no lag against the position.")
     text = f"The measured velocity {'lags' if lag['median'] > 0 else 'leads'} the position's derivative by "
     text += f"{1e3 * abs(lag['median']):.3g} ms. Estimate it from the position, or shift it with "
-    return Check("caution", "Velocity", f"{text}data.clean.velocity_lag=auto.", "data.clean.velocity=estimated")
+    return Finding("caution", "Velocity", f"{text}data.clean.velocity_lag=auto.", estimate)
 
 
-def _find_delay(joint: Mapping[str, Any]) -> Check:
-    delay = joint["delay"]
+def _check_delay(delay: Mapping[str, Any] | None) -> Finding:
     if delay is None:
-        return Check("note", "Command", "These recordings do not determine the delay of the command.")
+        return Finding("note", "Command", "These recordings do not determine the delay of the command.")
     low, middle, high = (1e3 * delay[key] for key in ("low", "seconds", "high"))
     if delay["low"] < SURE:
         text = f"The delay of the {delay['command']} command is not distinguishable from 0 (estimate {middle:.2g} ms)."
-        return Check("good", "Command", text)
+        return Finding("good", "Command", text)
     text = f"The {delay['command']} command acts about {middle:.0f} ms late (half of {delay['estimates']} estimates "
     text += f"between {low:.0f} and {high:.0f} ms). Identify it: give the bench the parameter delay."
-    return Check("caution", "Command", text, "bench.params.delay=...")
+    return Finding("caution", "Command", text, "bench.params.delay=...")
 
 
-def _find_slowness(joint: Mapping[str, Any], unit: str) -> Iterator[Check]:
-    slow, rest = joint["slow"], joint["rest"]
+def _check_motion(joint: Mapping[str, Any], unit: str) -> Iterator[Finding]:
+    slow, rest, forward, backward = (joint[name] for name in ("slow", "rest", "forward", "backward"))
     if slow["share"] > SLOW:
         text = f"{100 * slow['share']:.0f} % of the samples are below {slow['speed']:.2g} {unit}, 5 % of the top "
         text += "speed: Stribeck and viscous friction are hard to distinguish. Record more fast motion."
-        yield Check("caution", "Excitation", text)
+        yield Finding("caution", "Excitation", text)
     else:
         text = f"{100 * (1 - slow['share']):.0f} % of the samples are above {slow['speed']:.2g} {unit}, 5 % of "
-        yield Check("good", "Excitation", f"{text}the top speed.")
+        yield Finding("good", "Excitation", f"{text}the top speed.")
     if rest is not None and rest["median"] > RESTING:
         text = f"The joint is at rest for {100 * rest['median']:.0f} % of a recording (median); at rest, the data show "
-        yield Check("note", "Rest", f"{text}only that dry friction is at least the load.")
+        yield Finding("note", "Rest", f"{text}only that dry friction is at least the load.")
+    if min(forward, backward) < ONE_SIDED:
+        text = f"{100 * forward:.0f} % of the samples move forward and {100 * backward:.0f} % backward: a torque "
+        text += "offset and dry friction are not distinguishable. Record both directions."
+        yield Finding("caution", "Direction", text)
 
 
-def _find_direction(joint: Mapping[str, Any]) -> Iterator[Check]:
-    if min(joint["forward"], joint["backward"]) < ONE_SIDED:
-        text = f"{100 * joint['forward']:.0f} % of the samples move forward and {100 * joint['backward']:.0f} % "
-        text += "backward: a torque offset and dry friction are not distinguishable. Record both directions."
-        yield Check("caution", "Direction", text)
-
-
-def _find_saturation(command: Mapping[str, Any]) -> Iterator[Check]:
+def _check_command(command: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Finding]:
     saturated = command["saturated"]
     if saturated is not None and saturated["median"] > SATURATED:
         low, high = command["range"]
         text = f"The command is at an end of its range, {low:.3g} or {high:.3g}, for "
         text += f"{100 * saturated['median']:.0f} % of a recording (median): it may be limited."
-        yield Check("note", "Saturation", text)
+        yield Finding("note", "Saturation", text)
 
 
-def _find_supply(supply: Mapping[str, Any] | None, recordings: int) -> Iterator[Check]:
-    if supply is None:
-        return
+def _check_supply(supply: Mapping[str, Any], recordings: int) -> Iterator[Finding]:
     measured, stated = supply["measured"], supply["stated"]
     if supply["outliers"]:
         text = f"{supply['outlying']} of {recordings} recordings contain supply voltages far from their median, "
         text += f"{supply['outliers']} samples in total. Repair removes spikes; exclude recordings with longer faults."
-        yield Check("caution", "Supply readings", text, "data.clean.spikes=repair")
+        yield Finding("caution", "Supply readings", text, "data.clean.spikes=repair")
     text = f"The measured supply is {measured['median']:.3g} V ({measured['low']:.3g} to "
     text += f"{measured['high']:.3g} V over the recordings)"
     if stated is None or abs(stated["median"] / measured["median"] - 1) <= VOLTS:
-        yield Check("good", "Supply", f"{text}.")
+        yield Finding("good", "Supply", f"{text}.")
     else:
         text += f", the header's {supply['field']} is {stated['median']:.3g} V. Use the measured value."
-        yield Check("caution", "Supply", text)
-
-
-def _find_off(enabled: Mapping[str, Any] | None) -> Iterator[Check]:
-    if enabled is not None and enabled["low"] < 1:
-        text = f"The drive is off for up to {100 * (1 - enabled['low']):.0f} % of a recording: the bench's actuator "
-        yield Check("note", "Drive off", f"{text}model needs an input named enable.")
+        yield Finding("caution", "Supply", text)

@@ -1,13 +1,14 @@
 """Diagnostics of a recording and its bench by the torque balance of actuators and links."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
 from frictionzoo.diagnostics.balance import Balance, Explained, delayed
-from frictionzoo.diagnostics.findings import Finding, Repair, say_sign, turn
+from frictionzoo.diagnostics.findings import Finding, Repair, of_joint, say_sign, turn
 from frictionzoo.diagnostics.lags import WINDOWS, find_drift, find_shift, pick_lag
 
 KNOWN = 0.1  # relative standard error below which a share counts as known
@@ -40,12 +41,12 @@ def check_torque(
     for joint, regression in enumerate(explained):
         if regression is not None and not shifts:
             for fault in _check_joint(bench, joint, regression, to_position):
-                yield fault._replace(log=log.name, joint=bench.joints[joint])
+                yield replace(fault, log=log.name, joint=bench.joints[joint])
 
 
 def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[Finding]:
     """Check sign and scale of a joint's torque against its links' torque, or its inertia."""
-    of = f" of {bench.joints[joint]}" if bench.nv > 1 else ""
+    of = of_joint(bench.joints, joint)
     if any(param.is_identified for name, param in bench.actuator.params.items() if name not in OFFSETS):
         return  # its scale is unknown before the fit
     if one.error < KNOWN * abs(one.share):
@@ -55,12 +56,13 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
             text = f"ctrl{of} gives the opposite of the torque that gravity and inertia need ({one.share:.3g} times), "
             text += f"expected the same sign; set {signals}={say_sign(joint, bench.nv)}, or check gravity and the "
             text += "joint's axis in the MJCF"
-            yield Finding("opposed", True, text, repairs=turn(joint, *turned))
+            yield Finding("bad", "opposed", text, repairs=turn(joint, *turned))
         elif one.links > MATTERS * one.left and not 1 / TIMES < one.share < TIMES:
             text = f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear "
             text += f"ratio is missing, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}"
             repairs = _scale_torque(bench, joint, 1 / one.share)
-            yield Finding("torque", not 1 / TIMES**2 < one.share < TIMES**2, text, repairs=repairs)
+            state = "caution" if 1 / TIMES**2 < one.share < TIMES**2 else "bad"
+            yield Finding(state, "torque", text, repairs=repairs)
     elif np.isnan(one.share) and one.left < PLAIN and one.inertia_error < KNOWN * abs(one.inertia):
         yield from _check_inertia(bench, joint, of, one)
 
@@ -92,7 +94,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterato
     if one.inertia < 0:
         text = f"ctrl{of} gives a torque opposite to the acceleration, expected the same sign; set "
         text += f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel"
-        yield Finding("opposed", True, text, repairs=turn(joint, "ctrl"))
+        yield Finding("bad", "opposed", text, repairs=turn(joint, "ctrl"))
     elif not SLOWEST[bench.joint_type] < one.acceleration < FASTEST[bench.joint_type]:
         unit, per = ("kg", "m/s^2") if slide else ("kg m^2", "rad/s^2")
         fast = one.acceleration > SLOWEST[bench.joint_type]
@@ -100,7 +102,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterato
         text += f"{per}, expected {SLOWEST[bench.joint_type]:g} to {FASTEST[bench.joint_type]:g} {per}: qpos or ctrl "
         text += f"has another unit; set data.units.qpos{('=mm' if slide else '=deg') if fast else ''} or "
         text += "data.units.ctrl"
-        yield Finding("inertia", False, text)
+        yield Finding("caution", "inertia", text)
 
 
 def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
@@ -115,9 +117,9 @@ def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None])
     windows = np.array_split(np.arange(len(found.torque)), WINDOWS)
     drift = find_drift([_window_lag(found, joints, rows) for rows in windows])
     if drift is not None:
-        yield drift._replace(log=log.name)
+        yield replace(drift, log=log.name)
     elif misfit.min() <= LEFT and not -EARLY <= lag <= LATE and misfit.min() < MUCH_BETTER * usual.min():
-        yield find_shift("the motion", lag)._replace(log=log.name)
+        yield replace(find_shift("the motion", lag), log=log.name)
 
 
 def _window_lag(found: Balance, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:

@@ -15,7 +15,7 @@ from frictionzoo.core.errors import RunError
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
-from frictionzoo.diagnostics.findings import Doubt
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.motion import Recordings
@@ -51,7 +51,7 @@ class Problem:
 
     bench: Bench
     dataset: Dataset
-    doubts: list[Doubt]
+    doubts: list[Finding]
     sampling: Sampling
     segments: Segments
     evaluation: Evaluation

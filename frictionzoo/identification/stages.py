@@ -8,7 +8,7 @@ from jaxtyping import Float
 from frictionzoo.bench.template import DEFAULT_SOLREFFRICTION
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.telling import tell
-from frictionzoo.diagnostics.findings import Doubt
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit.loss import soft_width
 from frictionzoo.identification.choices import OPTIONAL, RIVALS, imply
 from frictionzoo.identification.noise import Misfit
@@ -244,9 +244,11 @@ class Stages(Trials):
         reason, largest = self._shorten()
         if largest > _MOVES:
             self.doubts.append(
-                Doubt(
+                Finding(
+                    "caution",
+                    "timestep",
                     f"bench.timestep={self._step:.3g} s: {reason}, expected at most {_MOVES:.2g}; set a shorter "
-                    "bench.timestep, and fewer segments with segments.count to save time"
+                    "bench.timestep, and fewer segments with segments.count to save time",
                 )
             )
         self.start = self._found

@@ -17,7 +17,7 @@ from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Segments
-from frictionzoo.diagnostics.findings import Doubt
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
@@ -45,7 +45,7 @@ class Trials:
     ) -> None:
         self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
         self.choices: list[Choice] = []
-        self.doubts: list[Doubt] = []
+        self.doubts: list[Finding] = []
         self.start: PilotResult | None = None
         self.pilot: Pilot | None = None  # with the chosen settings
         self._given: dict[str, Any] = copy.deepcopy(dict(settings))
