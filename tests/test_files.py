@@ -20,6 +20,7 @@ from frictionzoo.data.files import Files
 from frictionzoo.data.units import UNITS as SI
 from frictionzoo.data.units import ratio, to_si
 
+Make = Callable[..., Files]
 NAMES = ("a.csv", "b.csv", "c.csv")
 LETTER = r"(?P<letter>[abc])\.csv"
 COLUMNS = "data.columns={time: time, qpos: [qpos], qvel: [qvel], ctrl: [ctrl]}"
@@ -41,7 +42,7 @@ def plain() -> DictConfig:
 
 
 @pytest.fixture
-def files(plain: DictConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Files]:
+def files(plain: DictConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     """The data set of these overrides, in a folder that holds a.csv, b.csv and c.csv."""
     monkeypatch.chdir(tmp_path)
     for place, name in enumerate(NAMES):
@@ -62,7 +63,7 @@ def names(logs: Any) -> list[str]:
     return [log.name for log in logs]
 
 
-def test_train_and_test_by_file(files: Callable[..., Files]) -> None:
+def test_train_and_test_by_file(files: Make) -> None:
     dataset = files("data.train=[a.csv,b.csv]", "data.test=[c.csv]").load()
     assert (dataset.name, names(dataset.train), names(dataset.test)) == ("files", ["a.csv", "b.csv"], ["c.csv"])
     assert [log.qpos[0, 0] for log in dataset.logs] == [0.0, 5.0, 10.0]
@@ -75,7 +76,7 @@ def test_train_and_test_by_file(files: Callable[..., Files]) -> None:
     assert not log.simulated
 
 
-def test_recordings_come_raw_and_in_order(files: Callable[..., Files]) -> None:
+def test_recordings_come_raw_and_in_order(files: Make) -> None:
     recordings = files("data.train=[c.csv,a.csv]", "data.test=b.csv").recordings()
     assert names(recordings) == ["c.csv", "a.csv", "b.csv"]
     np.testing.assert_array_equal(recordings[1].signals["qpos"][:, 0], np.arange(100) / 8)
@@ -84,17 +85,14 @@ def test_recordings_come_raw_and_in_order(files: Callable[..., Files]) -> None:
     np.testing.assert_array_equal(turned.signals["ctrl"], recordings[1].signals["ctrl"])
 
 
-def test_a_simulator_s_files_are_called_simulated(files: Callable[..., Files]) -> None:
-    assert all(log.simulated for log in files("data.train=a.csv", "data.origin=simulated").load().logs)
-
-
-def test_one_file_is_split_by_time(files: Callable[..., Files]) -> None:
-    dataset = files("data.train=a.csv", "data.split.test_share=0.4", "data.split.gap=0.1").load()
+def test_one_file_is_split_by_time(files: Make, tmp_path: Path) -> None:
+    options = ("data.train=a.csv", "data.split.test_share=0.4", "data.split.gap=0.1", f"data.folder={tmp_path}")
+    dataset = files(*options, "data.origin=simulated").load()
     assert (dataset.train[0].samples, dataset.test[0].samples) == (50, 40)
-    assert dataset.test[0].name == "a.csv[test]"
+    assert dataset.test[0].name == f"{tmp_path / 'a.csv'}[test]" and all(log.simulated for log in dataset.logs)
 
 
-def test_globs_folders_and_archives_name_many(files: Callable[..., Files], tmp_path: Path) -> None:
+def test_globs_folders_and_archives_name_many(files: Make, tmp_path: Path) -> None:
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "d.csv").write_text(table(100, 15.0))
     entries = [{"timestamp": 0.01 * i, "position": 0.1 * i, "goal_position": 1.0} for i in range(100)]
@@ -109,11 +107,7 @@ def test_globs_folders_and_archives_name_many(files: Callable[..., Files], tmp_p
     assert names(files("data.train=['*.csv',a.csv]").recordings()) == list(NAMES)
 
 
-def test_paths_begin_at_the_folder(files: Callable[..., Files], tmp_path: Path) -> None:
-    assert names(files("data.train=a.csv", f"data.folder={tmp_path}").recordings()) == [str(tmp_path / "a.csv")]
-
-
-def test_fields_come_from_names_and_options(files: Callable[..., Files], tmp_path: Path) -> None:
+def test_fields_come_from_names_and_options(files: Make, tmp_path: Path) -> None:
     (tmp_path / "kp16.csv").write_text(table(100))
     source = files("data.train=kp16.csv", "data.fields={rig: left}", fields_from_name=r"kp(?P<kp>\d+)")
     assert source.recordings()[0].fields == {"kp": 16.0, "rig": "left"}
@@ -121,74 +115,55 @@ def test_fields_come_from_names_and_options(files: Callable[..., Files], tmp_pat
         files("data.train=a.csv", fields_from_name=r"kp(?P<kp>\d+)").recordings()
 
 
-@pytest.mark.parametrize(
-    ("options", "kept"),
-    [
-        (["data.where={letter: [a,c]}"], ["a.csv", "c.csv"]),
-        (["data.exclude={letter: [a]}"], ["b.csv", "c.csv"]),
-        (["data.where={letter: [a,b]}", "data.exclude={letter: [b]}"], ["a.csv"]),
-    ],
-)
-def test_recordings_are_chosen_by_their_fields(
-    files: Callable[..., Files], options: list[str], kept: list[str]
-) -> None:
-    assert names(files("data.train='*.csv'", *options, fields_from_name=LETTER).recordings()) == kept
+def test_recordings_are_chosen_by_their_fields(files: Make) -> None:
+    for options, kept in {
+        ("data.where={letter: [a,c]}",): ["a.csv", "c.csv"],
+        ("data.exclude={letter: [a]}",): ["b.csv", "c.csv"],
+        ("data.where={letter: [a,b]}", "data.exclude={letter: [b]}"): ["a.csv"],
+    }.items():
+        assert names(files("data.train='*.csv'", *options, fields_from_name=LETTER).recordings()) == kept
 
 
 @pytest.mark.parametrize(
     ("by", "test", "tested"),
     [
-        ("file", "[b.csv]", ["b.csv"]),
-        ("file", "['[bc].csv']", ["b.csv", "c.csv"]),
-        ("file", "0.34", ["b.csv"]),
-        ("letter", "[a,c]", ["a.csv", "c.csv"]),
-        ("letter", "b", ["b.csv"]),
+        *(("file", "[b.csv]", "b"), ("file", "['[bc].csv']", "bc"), ("file", "0.34", "b")),
+        *(("letter", "[a,c]", "ac"), ("letter", "[b]", "b")),
     ],
 )
-def test_files_and_fields_divide(files: Callable[..., Files], by: str, test: str, tested: list[str]) -> None:
-    test_option = f"data.split.test={test if test.startswith('[') or by == 'file' else [test]}"
-    dataset = files("data.train='*.csv'", f"data.split.by={by}", test_option, fields_from_name=LETTER).load()
-    assert names(dataset.test) == tested
-    assert names(dataset.train) == [name for name in NAMES if name not in tested]
-    assert dataset.test[0].metadata["letter"] == tested[0][0]
+def test_files_and_fields_divide(files: Make, by: str, test: str, tested: str) -> None:
+    options = "data.train='*.csv'", f"data.split.by={by}", f"data.split.test={test}"
+    dataset = files(*options, fields_from_name=LETTER).load()
+    assert names(dataset.test) == [f"{letter}.csv" for letter in tested]
+    assert {*names(dataset.train), *names(dataset.test)} == {*NAMES}
+    assert [log.metadata["letter"] for log in dataset.test] == [*tested]
 
 
 REFUSED = {
-    "none": (["data.train=[]"], r"data\.train=\[\]: no recording"),
+    "none": (["data.train=[]"], r"data\.train=\[\]"),
     "missing": (["data.train=nowhere.csv"], r"nowhere\.csv: no such file"),
     "no match": (["data.train='*.npz'"], r"\*\.npz: no such file"),
     "both parts": (["data.test=a.csv"], r"a\.csv: in data\.train and in data\.test"),
-    "header": (["data.columns.qpos=5"], r"data\.columns\.qpos=5: expected a list of names"),
-    "two rules": (["data.test=b.csv", "data.split.by=file", "data.split.test=[a.csv]"], r"expected one of them"),
+    "header": (["data.columns.qpos=5"], r"data\.columns\.qpos=5"),
+    "two rules": (["data.test=b.csv", "data.split.by=file", "data.split.test=[a.csv]"], r"data\.split.*data\.test"),
     "by time": (["data.split.test=[16]"], r"data\.split\.test=\[16\] with by=time"),
-    "nothing tests": (
-        ["data.split.by=letter"],
-        r"data\.split\.test=\[\] with by=letter; expected names or values that test",
-    ),
-    "no field": (
-        ["data.split.by=leter", "data.split.test=[a]"],
-        r"no recording has a field leter; did you mean letter",
-    ),
-    "no value": (
-        ["data.split.by=letter", "data.split.test=[d]"],
-        r"test=d: no recording has it; expected one of a, b, c",
-    ),
-    "no file": (["data.split.by=file", "data.split.test=[d.csv]"], r"test=d\.csv: none of 3 recordings has that name"),
+    "nothing tests": (["data.split.by=letter"], r"data\.split\.test=\[\] with by=letter"),
+    "no field": (["data.split.by=leter", "data.split.test=[a]"], r"field leter; did you mean letter"),
+    "no value": (["data.split.by=letter", "data.split.test=[d]"], r"test=d: .* a, b, c"),
+    "no file": (["data.split.by=file", "data.split.test=[d.csv]"], r"test=d\.csv"),
     "share": (["data.split.by=file", "data.split.test=1.5"], r"data\.split\.test=1\.5 with by=file"),
-    "nothing trains": (["data.split.by=letter", "data.split.test=[a,b,c]"], r"all 3 recordings test, none is left"),
-    "where": (["data.where={letter: [d]}"], r"data\.where\.letter=d: no recording has it; expected one of a, b, c"),
-    "where field": (["data.where={lettre: [a]}"], r"data\.where: no recording has a field lettre; did you mean letter"),
-    "nothing kept": (["data.exclude={letter: [a,b,c]}"], r"leave none of 3 recordings"),
-    "input": (["data.inputs={gain: kp}"], r"a\.csv: data\.inputs\.gain=kp: no such field"),
-    "text input": (
-        ["data.inputs={gain: letter}"],
-        r"a\.csv: data\.inputs\.gain: its field letter is a, expected a number",
-    ),
+    "nothing trains": (["data.split.by=letter", "data.split.test=[a,b,c]"], r"data\.split.* all 3 recordings test"),
+    "where": (["data.where={letter: [d]}"], r"data\.where\.letter=d: .* a, b, c"),
+    "where field": (["data.where={lettre: [a]}"], r"data\.where: .*field lettre; did you mean letter"),
+    "nothing kept": (["data.exclude={letter: [a,b,c]}"], r"data\.exclude leave none of 3 recordings"),
+    "input": (["data.inputs={gain: kp}"], r"a\.csv: data\.inputs\.gain=kp"),
+    "text input": (["data.inputs={gain: letter}"], r"a\.csv: data\.inputs\.gain"),
+    "nothing left": (["data.clean.shortest=5.0"], r"a\.csv: .* change data\.clean"),
 }
 
 
 @pytest.mark.parametrize(("options", "line"), REFUSED.values(), ids=REFUSED)
-def test_a_mistake_gets_one_line(files: Callable[..., Files], options: list[str], line: str) -> None:
+def test_a_mistake_gets_one_line(files: Make, options: list[str], line: str) -> None:
     train = ["data.train='[abc].csv'"] if not options[0].startswith("data.train") else []
     with pytest.raises((LogError, ConfigError), match=line) as caught:
         files(*train, *options, fields_from_name=LETTER).load()
@@ -198,15 +173,15 @@ def test_a_mistake_gets_one_line(files: Callable[..., Files], options: list[str]
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"columns": {"qvle": "a"}}, r"data\.columns\.qvle: unknown signal; did you mean qvel"),
-        ({"units": {"qvle": "a"}}, r"data\.units\.qvle: unknown signal"),
-        ({"sign": {"ctrl": 0}}, r"data\.sign\.ctrl=0: expected 1 or -1"),
-        ({"sign": {"time": -1}}, r"data\.sign\.time: unknown signal"),
-        ({"where": {"kp": 16}}, r"data\.where\.kp=16: expected a list of values"),
-        ({"where": 3}, r"data\.where=3: expected names with values"),
-        ({"train": 3}, r"data\.train=3: expected a list of names"),
-        ({"fields_from_name": "("}, r"data\.fields_from_name=\(: .*; expected a regular expression"),
-        ({"fields_from_name": "kp"}, r"data\.fields_from_name=kp: no named group"),
+        ({"columns": {"qvle": "a"}}, r"data\.columns\.qvle: .*did you mean qvel"),
+        ({"units": {"qvle": "a"}}, r"data\.units\.qvle"),
+        ({"sign": {"ctrl": 0}}, r"data\.sign\.ctrl=0"),
+        ({"sign": {"time": -1}}, r"data\.sign\.time"),
+        ({"where": {"kp": 16}}, r"data\.where\.kp=16"),
+        ({"where": 3}, r"data\.where=3"),
+        ({"train": 3}, r"data\.train=3"),
+        ({"fields_from_name": "("}, r"data\.fields_from_name=\("),
+        ({"fields_from_name": "kp"}, r"data\.fields_from_name=kp"),
     ],
 )
 def test_options_that_make_no_sense(plain: DictConfig, options: dict[str, Any], line: str) -> None:
@@ -215,7 +190,7 @@ def test_options_that_make_no_sense(plain: DictConfig, options: dict[str, Any], 
         build({**section, **options})
 
 
-def test_inputs_become_constant_signals(files: Callable[..., Files]) -> None:
+def test_inputs_become_constant_signals(files: Make) -> None:
     log = files("data.train=a.csv", "data.fields={kp: 16}", "data.inputs={gain: kp, supply: 12.0}")
     first = log.load().train[0]
     np.testing.assert_array_equal(first.extras["gain"], np.full((first.samples, 1), 16.0))
@@ -226,7 +201,7 @@ def entry(letter: str, mass: float) -> dict[str, Any]:
     return {"when": {"letter": letter}, "payload": [mass, 0, 0, -0.1, 1e-3, 1e-3, 1e-3]}
 
 
-def test_a_table_tells_what_was_carried(files: Callable[..., Files]) -> None:
+def test_a_table_tells_what_was_carried(files: Make) -> None:
     source = files(
         "data.train='*.csv'",
         "data.split.gap=0",
@@ -240,21 +215,17 @@ def test_a_table_tells_what_was_carried(files: Callable[..., Files]) -> None:
 @pytest.mark.parametrize(
     ("payload", "line"),
     [
-        ([entry("a", 1.0), entry("b", 2.0)], r"c\.csv: no entries of data\.payload fit letter=c, expected one"),
-        ([entry("a", 1.0), entry("a", 2.0)], r"a\.csv: 2 entries of data\.payload fit letter=a, expected one"),
-        ([{"when": {"letter": "a"}}], r"data\.payload\[0\] is .*; expected when"),
-        ([entry("a", -1.0)], r"data\.payload of letter=a is .*; expected mass and inertia of at least 0"),
-        ([[0.0] * 7], r"data\.payload has 1 entries, expected 3, one a recording, train first"),
+        ([entry("a", 1.0), entry("b", 2.0)], r"c\.csv: no entries of data\.payload"),
+        ([entry("a", 1.0), entry("a", 2.0)], r"a\.csv: 2 entries of data\.payload"),
+        ([{"when": {"letter": "a"}}], r"data\.payload\[0\]"),
     ],
 )
-def test_a_table_that_does_not_fit_is_refused(files: Callable[..., Files], payload: list[Any], line: str) -> None:
+def test_a_table_that_does_not_fit_is_refused(files: Make, payload: list[Any], line: str) -> None:
     with pytest.raises(ConfigError, match=line):
         files("data.train='*.csv'", payload=payload, fields_from_name=LETTER).load()
 
 
-def test_headers_and_units_are_proposed_once(
-    files: Callable[..., Files], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_headers_and_units_are_proposed_once(files: Make, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for name in NAMES:
         (tmp_path / name).write_text(table(100).replace("time,qpos,qvel,ctrl", "t [ms],angle,speed,command"))
     nothing = {"columns": {}, "units": {}}
@@ -274,9 +245,7 @@ def test_headers_and_units_are_proposed_once(
     assert not caplog.records
 
 
-def test_what_cleaning_changed_is_said_once(
-    files: Callable[..., Files], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_cleaning_changed_is_said_once(files: Make, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for name in NAMES[:2]:
         (tmp_path / name).write_text(table(100).replace("\n0.05,", "\n0.055,"))
     with caplog.at_level("INFO", "frictionzoo.data.files"):
@@ -287,14 +256,9 @@ def test_what_cleaning_changed_is_said_once(
     np.testing.assert_allclose(np.diff(dataset.train[0].time), 0.01, rtol=1e-9)
 
 
-def test_a_recording_of_which_nothing_is_left_is_refused(files: Callable[..., Files]) -> None:
-    with pytest.raises(LogError, match=r"a\.csv: cleaning leaves nothing of it.*; .* or change data\.clean"):
-        files("data.train=a.csv", "data.clean.shortest=5.0").load()
-
-
 @pytest.mark.parametrize("name", ["sts3215", "xl330"])
 def test_recordings_that_are_not_there_get_a_line_on_where_to_obtain_them(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+    make: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
 ) -> None:
     monkeypatch.delenv("FRICTIONZOO_DATA", raising=False)
     with pytest.raises(LogError, match=rf"data\.folder=null: .*FRICTIONZOO_DATA.* holds {name}.*https://github\.com"):
@@ -337,7 +301,7 @@ PENDULUMS = {
 
 
 @needs_data
-def test_the_servos_on_the_large_bench(make: Callable[..., Any], few_servos: Path) -> None:
+def test_the_servos_on_the_large_bench(make: Callable, few_servos: Path) -> None:
     dataset = make("data", "data=sts3215", f"data.folder={few_servos}").load()
     assert {log.metadata["kp"] for log in dataset.train} == {8} and {log.metadata["kp"] for log in dataset.test} == {16}
     assert {log.metadata["trajectory"] for log in dataset.logs} == {"sin_sin"}
@@ -354,7 +318,7 @@ def test_the_servos_on_the_large_bench(make: Callable[..., Any], few_servos: Pat
 
 
 @needs_data
-def test_the_servo_on_the_small_bench(make: Callable[..., Any]) -> None:
+def test_the_servo_on_the_small_bench(make: Callable) -> None:
     dataset = make("data", "data=xl330").load()
     assert (len(dataset.train), len(dataset.test)) == (12, 4)
     assert {log.metadata["kp"] for log in dataset.test} == {200}

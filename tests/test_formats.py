@@ -31,7 +31,6 @@ from write_logs import (
     write_bag,
     write_bam,
     write_csv,
-    write_degrees,
     write_log,
 )
 
@@ -42,97 +41,66 @@ from frictionzoo.data.formats.csv import Csv
 from frictionzoo.data.propose import propose
 from frictionzoo.data.recording import Table, refuse_incomplete
 
-EXACT = sorted(set(WRITERS) - {"lerobot"})
-
 
 def test_every_format_is_tested():
     assert set(format_names()) == set(WRITERS)
 
 
-@pytest.mark.parametrize("name", EXACT)
+@pytest.mark.parametrize("name", sorted(WRITERS))
 def test_a_recording_comes_back_bit_for_bit(tmp_path, name):
     columns = signals()
     path = write_log(tmp_path, name, columns)
-    (table,) = read_tables(str(path), "auto")
-    recording = to_recording(table, OPTIONS[name], {}, simulated=True)
-    np.testing.assert_array_equal(recording.time, columns["time"])
-    assert set(recording.signals) == {"qpos", "qvel", "ctrl"}
-    for signal, values in recording.signals.items():
-        np.testing.assert_array_equal(values, columns[signal][:, None])
-    assert recording.simulated and len(recording.sha256) == 64 and recording.notes == ()
-    if path.is_file() and path.suffix != ".zip":
-        assert recording.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def test_episodes_come_back_in_single_precision(tmp_path):
-    columns = signals()
-    tables = read_tables(str(write_log(tmp_path, "lerobot", columns)), "auto")
-    assert [table.name[-15:] for table in tables] == ["!episode_000000", "!episode_000001"]
-    assert tables[0].fields["fps"] == 100
+    tables = read_tables(str(path), "auto")
+    assert len(tables) == len(read_tables(str(path), name)) == (2 if name == "lerobot" else 1)
+    if name == "lerobot":  # single precision
+        assert [table.name[-15:] for table in tables] == ["!episode_000000", "!episode_000001"]
+        assert tables[0].fields["fps"] == 100
+        columns = {signal: values.astype(np.float32) for signal, values in columns.items()}
     for table in tables:
-        recording = to_recording(table, OPTIONS["lerobot"], {}, simulated=False)
-        np.testing.assert_array_equal(recording.time, columns["time"].astype(np.float32))
+        recording = to_recording(table, OPTIONS[name], {}, simulated=True)
+        np.testing.assert_array_equal(recording.time, columns["time"])
+        assert set(recording.signals) == {"qpos", "qvel", "ctrl"}
         for signal, values in recording.signals.items():
-            np.testing.assert_array_equal(values[:, 0], columns[signal].astype(np.float32))
-
-
-@pytest.mark.parametrize("name", sorted(WRITERS))
-def test_a_format_can_be_named_or_told_by_its_first_bytes(tmp_path, name):
-    path = write_log(tmp_path, name, signals())
-    assert len(read_tables(str(path), name)) == (2 if name == "lerobot" else 1)
-    if name in ("parquet", "mat"):
+            np.testing.assert_array_equal(values, columns[signal][:, None])
+        assert recording.simulated and len(recording.sha256) == 64 and recording.notes == ()
+        proposal = propose(table)
+        proposed = {signal: headers[0] for signal, headers in proposal.columns.items()}
+        assert not proposal.units and proposal.certain == (not OPTIONS[name])
+        assert proposed == (OPTIONS[name] or proposed)
+    if path.is_file() and path.suffix != ".zip":
+        assert tables[0].sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    if name in ("parquet", "mat"):  # recognised by the first bytes
         assert read_tables(str(path.rename(tmp_path / "recording")), "auto")
-
-
-@pytest.mark.parametrize("name", sorted(WRITERS))
-def test_what_is_proposed_reads_the_recording(tmp_path, name):
-    table, *_ = read_tables(str(write_log(tmp_path, name, signals())), "auto")
-    proposal = propose(table)
-    assert not proposal.units
-    assert {signal: headers[0] for signal, headers in proposal.columns.items()} == (
-        OPTIONS[name] or {signal: headers[0] for signal, headers in proposal.columns.items()}
-    )
-    assert proposal.certain == (not OPTIONS[name])
 
 
 def test_an_unknown_format_and_an_unknown_file(tmp_path):
     path = write_csv(tmp_path / "a.csv", signals())
-    with pytest.raises(ConfigError, match=r"^cvs: no such log format; did you mean csv\?"):
+    with pytest.raises(ConfigError, match=r"cvs: .* did you mean csv"):
         read_tables(str(path), "cvs")
-    with pytest.raises(LogError, match=r"a\.txt: suffix \.txt of no known format; set data\.format to one of bam, csv"):
-        read_tables(str(path.rename(tmp_path / "a.txt")), "auto")
-    with pytest.raises(LogError, match=r"a folder of no known format"):
-        read_tables(str(tmp_path), "auto")
-    with pytest.raises(LogError, match=r"nowhere\.csv: no such file \(looked from"):
-        read_tables(str(tmp_path / "nowhere.csv"), "auto")
+    refuse(path.rename(tmp_path / "a.txt"), r"a\.txt: .*data\.format")
+    refuse(tmp_path, r"data\.format")
+    refuse(tmp_path / "nowhere.csv", r"nowhere\.csv: no such file")
 
 
 def test_another_package_brings_a_format(tmp_path, monkeypatch):
     monkeypatch.setattr(base.REGISTRY, "entries", dict(base.REGISTRY.entries))
-    register_format("semicolons")(
-        type(
-            "Semicolons",
-            (Csv,),
-            {
-                "suffixes": (".ssv",),
-                "parse": lambda self, name, content: Csv.parse(self, name, content.replace(b";", b",")),
-            },
-        )
-    )
+
+    class Semicolons(Csv):
+        suffixes = (".ssv",)
+
+        def parse(self, name, content):
+            return super().parse(name, content.replace(b";", b","))
+
+    register_format("semicolons")(Semicolons)
     path = tmp_path / "a.ssv"
     path.write_text("time;qpos\n0;1\n1;2\n")
-    (table,) = read_tables(str(path), "auto")
-    assert table.columns["qpos"].tolist() == [1, 2]
-    with pytest.raises(ConfigError, match=r"expected a Format class with a `parse` method"):
-        register_format("nothing")(dict)
+    assert read_tables(str(path), "auto")[0].columns["qpos"].tolist() == [1, 2]
 
 
 def test_a_missing_package_gets_the_command_that_installs_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    path = tmp_path / "a.parquet"
-    path.write_bytes(b"PAR1")
-    with pytest.raises(LogError, match=r'a\.parquet: reading it needs pyarrow; pip install "frictionzoo\[formats\]"'):
-        read_tables(str(path), "auto")
+    (tmp_path / "a.parquet").write_bytes(b"PAR1")
+    refuse(tmp_path / "a.parquet", r'pyarrow; pip install "frictionzoo\[formats\]"')
 
 
 def test_matrices_texts_and_single_values(tmp_path):
@@ -207,21 +175,14 @@ def test_parquet_has_times_lists_gaps_and_texts(tmp_path):
     np.testing.assert_array_equal(recording.signals["ctrl"][:, 0], [1, np.nan, 3])
 
 
-def test_whole_nanoseconds_keep_their_last_digit(tmp_path):
-    rows = [f"{EPOCH + 1_000_001 * i},{i},{i}" for i in range(4)]
+def test_whole_nanoseconds_and_empty_cells_of_a_csv_file(tmp_path):
+    rows = [f"{EPOCH + 1_000_001 * i},{i},{i if i else ''}" for i in range(4)]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time,qpos,ctrl", *rows]))
     (table,) = read_tables(str(path), "auto")
     recording = to_recording(table, {"time": "time", "qpos": "qpos", "ctrl": "ctrl"}, {"time": "ns"}, simulated=False)
     assert recording.time.tolist() == [0, 0.001000001, 0.002000002, 0.003000003]
-
-
-def test_empty_cells_are_missing_samples(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("time,qpos,ctrl\n0,1,\n0.01,,2\n")
-    (table,) = read_tables(str(path), "auto")
-    recording = to_recording(table, {}, {}, simulated=False)
-    np.testing.assert_array_equal(recording.signals["qpos"][:, 0], [1, np.nan])
+    np.testing.assert_array_equal(recording.signals["ctrl"][:, 0], [np.nan, 1, 2, 3])
 
 
 def test_bam_logs_in_a_folder_and_in_a_zip(tmp_path):
@@ -297,39 +258,34 @@ def test_signals_of_other_times_are_brought_to_those_of_qpos(tmp_path):
 
 
 def test_without_stamps_the_time_is_that_of_receiving(tmp_path):
-    states = [("/js", joint_state(0, i, 0.0), EPOCH + i * 10**7) for i in range(3)]
-    table = ros_log(tmp_path / "bag", states)
+    table = ros_log(tmp_path / "bag", [("/js", joint_state(0, i, 0.0), EPOCH + i * 10**7) for i in range(3)])
     np.testing.assert_array_equal(table.columns["/js/time"], EPOCH + np.arange(3) * 10**7)
 
 
-def test_two_publishers_of_one_topic_have_their_own_times(tmp_path):
+def test_two_publishers_of_one_topic_have_separate_times(tmp_path):
     states = [("/js", joint_state(EPOCH + i, i, 0.0, ("knee", "hip")[i % 2]), EPOCH + i) for i in range(6)]
     table = ros_log(tmp_path / "bag", states)
     assert table.columns["/js/position[hip]"].tolist() == [1, 3, 5]
     np.testing.assert_array_equal(table.columns[table.times["/js/position[hip]"]] - EPOCH, [1, 3, 5])
 
 
-def test_scalars_and_trajectories_are_commands(tmp_path):
-    types = STORE.types
+def test_scalars_whole_numbers_and_trajectories_are_commands(tmp_path):
+    types, empty = STORE.types, np.array([])
     stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    points = [
-        types["trajectory_msgs/msg/JointTrajectoryPoint"](
-            positions=np.array([value]),
-            velocities=np.array([]),
-            accelerations=np.array([]),
-            effort=np.array([]),
-            time_from_start=types["builtin_interfaces/msg/Duration"](sec=after, nanosec=5),
-        )
-        for value, after in ((0.5, 0), (0.75, 1))
-    ]
-    trajectory = types["trajectory_msgs/msg/JointTrajectory"](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""), joint_names=["knee"], points=points
-    )
-    scalar = types["std_msgs/msg/Float64"](data=2.5)
-    table = ros_log(tmp_path / "bag", [("/plan", trajectory, EPOCH), ("/torque", scalar, EPOCH)], StoragePlugin.SQLITE3)
-    assert table.columns["/plan/positions[knee]"].tolist() == [0.5, 0.75]
-    assert (table.columns["/plan/time"] - EPOCH).tolist() == [5, 10**9 + 5]
-    assert table.columns["/torque/data"].tolist() == [2.5]
+    later = [types["builtin_interfaces/msg/Duration"](sec=after, nanosec=5) for after in (0, 1)]
+    point = types["trajectory_msgs/msg/JointTrajectoryPoint"]
+    points = [point(np.array([q]), empty, empty, empty, after) for q, after in zip((0.5, 0.75), later, strict=True)]
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+    messages = {
+        "/plan": types["trajectory_msgs/msg/JointTrajectory"](header=header, joint_names=["knee"], points=points),
+        "/torque": types["std_msgs/msg/Float64"](data=2.5),
+        "/count": types["std_msgs/msg/Int64"](data=2**53 + 1),
+    }
+    logged = [(topic, message, EPOCH) for topic, message in messages.items()]
+    columns = ros_log(tmp_path / "bag", logged, StoragePlugin.SQLITE3).columns
+    assert columns["/plan/positions[knee]"].tolist() == [0.5, 0.75]
+    assert (columns["/plan/time"] - EPOCH).tolist() == [5, 10**9 + 5]
+    assert columns["/torque/data"].tolist() == [2.5] and columns["/count/data"].tolist() == [2**53 + 1]
 
 
 def test_a_message_type_of_no_ros_package_is_named(tmp_path):
@@ -337,18 +293,14 @@ def test_a_message_type_of_no_ros_package_is_named(tmp_path):
     for path in (folder / "bag.mcap", folder / "metadata.yaml"):
         path.write_bytes(path.read_bytes().replace(COMMAND.encode(), b"my_msgs/msg/Float64MultiArray0"))
     (table,) = read_tables(str(folder), "auto")
-    with pytest.raises(
-        LogError, match=r"/command is of type my_msgs/msg/Float64MultiArray0, expected one of ROS's own"
-    ):
+    with pytest.raises(LogError, match=r"/command is of type my_msgs/msg/Float64MultiArray0"):
         to_recording(table, OPTIONS["mcap"] | {"ctrl": "/command"}, {}, simulated=False)
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite"])
 def test_messages_out_of_order_are_not_sorted(tmp_path, plugin):
     states = [("/js", joint_state(0, i, 0.0), EPOCH + at) for i, at in enumerate((0, 10, 20, 5, 15))]
-    with pytest.raises(
-        LogError, match=rf"a message was received at {EPOCH + 5} ns, after one of its topic at {EPOCH + 20}"
-    ):
+    with pytest.raises(LogError, match=rf"{EPOCH + 5} ns.*{EPOCH + 20}"):
         ros_log(tmp_path / "bag", states, plugin)
 
 
@@ -356,28 +308,16 @@ def test_stamps_that_run_backwards_are_brought_to_no_other_times(tmp_path):
     states = [("/js", joint_state(EPOCH + i * 10**7, i, 0.0), EPOCH + i) for i in range(5)]
     efforts = [("/e", joint_state(EPOCH + at * 10**6, i, 0.0), EPOCH + i) for i, at in enumerate((0, 20, 10))]
     came = ros_log(tmp_path / "bag", states + efforts)
-    with pytest.raises(LogError, match=r"/e/time runs backwards at sample 2 \(0\.02 s, then 0\.01 s\)"):
+    with pytest.raises(LogError, match=r"/e/time runs backwards at sample 2"):
         to_recording(came, {"qpos": ROS["qpos"], "ctrl": "/e/position[knee]"}, {}, simulated=False)
 
 
-def test_a_joint_that_is_twice_in_a_message(tmp_path):
-    twice = dataclasses.replace(joint_state(0, 1.0, 0.0), name=["knee", "knee"], position=np.ones(2))
-    with pytest.raises(LogError, match=r"/position\[knee\] twice in one message"):
-        ros_log(tmp_path / "bag", [("/js", twice, EPOCH)])
-
-
-@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
-def test_a_message_with_other_numbers_than_names(tmp_path, field):
-    message = dataclasses.replace(
-        joint_state(0, 1.0, 0.0), name=["hip", "knee"], position=np.ones(2), velocity=np.ones(2)
-    )
-    with pytest.raises(LogError, match=f"{field} has 3 entries for 2 names"):
-        ros_log(tmp_path / "bag", [("/js", dataclasses.replace(message, **{field: np.ones(3)}), EPOCH)])
-
-
-def test_whole_numbers_of_messages_keep_their_last_digit(tmp_path):
-    count = STORE.types["std_msgs/msg/Int64"](data=2**53 + 1)
-    assert ros_log(tmp_path / "bag", [("/n", count, EPOCH)]).columns["/n/data"].tolist() == [2**53 + 1]
+@pytest.mark.parametrize("field", ["name", "position", "velocity", "effort"])
+def test_a_message_that_contradicts_its_names(tmp_path, field):
+    two = dataclasses.replace(joint_state(0, 1.0, 0.0), name=["hip", "knee"], position=np.ones(2), velocity=np.ones(2))
+    wrong = {"name": ["knee", "knee"]} if field == "name" else {field: np.ones(3)}
+    with pytest.raises(LogError, match="twice in one message" if field == "name" else f"{field} has 3 entries"):
+        ros_log(tmp_path / "bag", [("/js", dataclasses.replace(two, **wrong), EPOCH)])
 
 
 def table(**columns) -> Table:
@@ -387,48 +327,33 @@ def table(**columns) -> Table:
 NAMED = {"time": "t", "qpos": ["q"], "qvel": ["v"], "ctrl": ["u"]}
 
 
-@pytest.mark.parametrize(
-    ("signal", "unit", "si"),
-    [
-        ("qpos", "deg", np.pi / 180),
-        ("qpos", "rev", 2 * np.pi),
-        ("qpos", "mm", 1e-3),
-        ("qpos", "0.0015", 0.0015),
-        ("qvel", "rpm", 2 * np.pi / 60),
-        ("qvel", "mm/s", 1e-3),
-        ("ctrl", "mN m", 1e-3),
-        ("ctrl", "Nm", 1),
-        ("ctrl", "%", 0.01),
-        ("ctrl", "1", 1),
-        ("ctrl", "deg", np.pi / 180),
-    ],
-)
-def test_units(signal, unit, si):
-    came = table(t=[0, 1], q=[0, 1], v=[0, 1], u=[0, 1])
-    recording = to_recording(came, NAMED, {signal: unit}, simulated=False)
-    assert recording.signals[signal][1, 0] == pytest.approx(si, rel=1e-15)  # one rounding
-
-
-def test_milliseconds_are_exact():
-    recording = to_recording(table(t=[3, 10], q=[0, 1], v=[0, 1], u=[0, 1]), NAMED, {"time": "ms"}, simulated=False)
+def test_units_raw_registers_exact_milliseconds_and_days():
+    came = table(t=[3, 10], q=[0, 2], v=[0, 3], u=[0, 5])
+    recording = to_recording(
+        came, NAMED, {"time": "ms", "qpos": "0.0015", "qvel": "rpm", "ctrl": "Nm"}, simulated=False
+    )
     assert recording.time.tolist() == [0, 0.007]
+    found = [recording.signals[signal][1, 0] for signal in ("qpos", "qvel", "ctrl")]
+    assert found == pytest.approx([0.003, np.pi / 10, 5], rel=1e-15)  # one rounding
+    came = table(t=738_000 + np.arange(3) / 2**20, q=[0, 1, 2], v=[0, 1, 2], u=[0, 1, 2])
+    days = to_recording(came, NAMED, {"time": "86400"}, simulated=False).time
+    assert days.tolist() == [0, 86400 / 2**20, 86400 / 2**19]
 
 
 BAD_OPTIONS = {
-    "unit": (NAMED, {"qpos": "degr"}, ConfigError, r"data\.units\.qpos=degr: unknown unit; did you mean deg\?"),
-    "other-unit": (NAMED, {"time": "deg"}, ConfigError, r"data\.units\.time=deg: unknown unit; expected one of ms"),
-    "signal": ({**NAMED, "qvle": "v"}, {}, ConfigError, r"data\.columns\.qvle: unknown signal; did you mean qvel"),
-    "two-times": ({**NAMED, "time": ["t", "q"]}, {}, ConfigError, r"data\.columns\.time=.*expected one header"),
-    "number": ({**NAMED, "qpos": 3}, {}, ConfigError, r"data\.columns\.qpos=3: expected a list of names"),
+    "unit": (NAMED, {"qpos": "degr"}, ConfigError, r"data\.units\.qpos=degr: .* did you mean deg\?"),
+    "other-unit": (NAMED, {"time": "deg"}, ConfigError, r"data\.units\.time=deg"),
+    "signal": ({**NAMED, "qvle": "v"}, {}, ConfigError, r"data\.columns\.qvle: .* did you mean qvel"),
+    "two-times": ({**NAMED, "time": ["t", "q"]}, {}, ConfigError, r"data\.columns\.time"),
+    "number": ({**NAMED, "qpos": 3}, {}, ConfigError, r"data\.columns\.qpos=3"),
     "missing": ({**NAMED, "qpos": ["qq"]}, {}, LogError, r"a\.csv: no column qq; did you mean q\?"),
     "unnamed": (
         {"time": "t"},
         {},
         LogError,
-        r"a\.csv: data\.columns\.qpos is missing; perhaps data\.columns\.time=t data\.columns\.qpos=\[q\] .*; its "
-        r"columns are t, q, v, u, short",
+        r"columns\.qpos .*perhaps data\.columns\.time=t .*t, q, v, u, short",
     ),
-    "length": ({**NAMED, "ctrl": "short"}, {}, LogError, r"a\.csv: short has 1 samples and t 2, expected as many"),
+    "length": ({**NAMED, "ctrl": "short"}, {}, LogError, r"a\.csv: short has 1 samples and t 2"),
 }
 
 
@@ -440,27 +365,12 @@ def test_options_that_make_no_sense(columns, units, kind, line):
 
 
 ABSURD = {
-    "time": (
-        [0, 1, 2, 1e13],
-        [0] * 4,
-        [0] * 4,
-        r"time \(t\) is 1e\+13 in SI units at sample 3, expected at most 1e\+12",
-    ),
-    "qpos": ([0, 1], [0, 1], [1e300, 1], r"qpos \(q\) is 1e\+300 in SI units at sample 0, expected at most 1e\+09"),
-    "ctrl": ([0, 1], [0, -np.inf], [0, 1], r"ctrl \(u\) is -inf in SI units at sample 1"),
-    "days": (
-        738_000 + np.arange(3) / 864e4,
-        [0] * 3,
-        [0] * 3,
-        r"t advances by 1\.16e-07 s .*; set data\.units\.time, such as ns",
-    ),
-    "nanoseconds": (
-        [0, 1e7],
-        [0, 1],
-        [0, 1],
-        r"t advances by 1e\+07 s .*, expected 5e-06 to 100 s; set data\.units\.time",
-    ),
-    "date": ([20240131, 20240201], [0, 1], [0, 1], r"t is a date \(20240131\), expected a time that counts"),
+    "time": ([0, 1, 2, 1e13], [0] * 4, [0] * 4, r"time \(t\) is 1e\+13 .* sample 3"),
+    "qpos": ([0, 1], [0, 1], [1e300, 1], r"qpos \(q\) is 1e\+300 .* sample 0"),
+    "ctrl": ([0, 1], [0, -np.inf], [0, 1], r"ctrl \(u\) is -inf .* sample 1"),
+    "days": (738_000 + np.arange(3) / 864e4, [0] * 3, [0] * 3, r"t advances by 1\.16e-07 s .*data\.units\.time"),
+    "nanoseconds": ([0, 1e7], [0, 1], [0, 1], r"t advances by 1e\+07 s .*data\.units\.time"),
+    "date": ([20240131, 20240201], [0, 1], [0, 1], r"t is a date \(20240131\)"),
     "date-and-time": ([20240131235959, 20240201000000], [0, 1], [0, 1], r"t is a date \(20240131235959\)"),
 }
 
@@ -471,25 +381,11 @@ def test_absurd_samples(t, u, q, line):
         to_recording(table(t=t, q=q, u=u), {"time": "t", "qpos": "q", "ctrl": "u"}, {}, simulated=False)
 
 
-def test_an_absurd_sample_of_a_bag(tmp_path):
-    columns = signals(5)
-    columns["ctrl"][3] = 1e300
-    (came,) = read_tables(str(write_log(tmp_path, "mcap", columns)), "auto")
-    with pytest.raises(LogError, match=r"log\.mcap: ctrl \(/command/data\[0\]\) is 1e\+300 in SI units at sample 3"):
-        to_recording(came, OPTIONS["mcap"], {}, simulated=False)
-
-
-def test_numbers_at_the_end_of_all_numbers_are_told():
+def test_numbers_at_the_end_of_all_numbers():
     came = table(time=[-1.7e308, 0, 1.7e308], qpos=[0, -1e308, 1e308], ctrl=[np.inf, -np.inf, 0])
     assert propose(came).units["time"] == "ns"
     with pytest.raises(LogError, match="time"):
         to_recording(came, {}, {"time": "86400"}, simulated=False)
-
-
-def test_days_are_a_unit():
-    came = table(t=738_000 + np.arange(3) / 2**20, q=[0, 1, 2], u=[0, 1, 2])
-    recording = to_recording(came, {"time": "t", "qpos": "q", "ctrl": "u"}, {"time": "86400"}, simulated=False)
-    assert recording.time.tolist() == [0, 86400 / 2**20, 86400 / 2**19]
 
 
 def refuse(path: Path, line: str) -> None:
@@ -504,34 +400,25 @@ def refuse(path: Path, line: str) -> None:
 def test_cells_that_are_no_plain_numbers(tmp_path, cell):
     path = tmp_path / "a.csv"
     path.write_text(f'time,qpos,qvel,ctrl\n0,0,0,0\n0.1,1,"{cell}",1\n', encoding="utf-8")
-    refuse(path, r"a\.csv, line 3: qvel is '.+', expected a number; or set data\.columns\.qvel, to \[\] to omit it")
+    refuse(path, r"a\.csv, line 3: qvel .*data\.columns\.qvel")
     (came,) = read_tables(str(path), "auto")
     assert set(to_recording(came, {"qvel": []}, {}, simulated=False).signals) == {"qpos", "ctrl"}
 
 
-@pytest.mark.parametrize("cell", [" 5", "+5", "5.", "5e0", "5E+00", "nan", ""])
-def test_cells_that_are_plain_numbers(tmp_path, cell):
-    path = tmp_path / "a.csv"
-    path.write_text(f"time,qpos\n0,0\n1,{cell}\n")
-    assert read_tables(str(path), "auto")[0].columns["qpos"][1] in (5, pytest.approx(np.nan, nan_ok=True))
+def test_cells_that_are_plain_numbers(tmp_path):
+    cells = [" 5", "+5", "5.", "5e0", "5E+00", "nan", ""]
+    (tmp_path / "a.csv").write_text("\n".join(["time,qpos", *(f"{i},{cell}" for i, cell in enumerate(cells))]))
+    (came,) = read_tables(str(tmp_path / "a.csv"), "auto")
+    np.testing.assert_array_equal(came.columns["qpos"], [5, 5, 5, 5, 5, np.nan, np.nan])
 
 
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ('"7"', r"position is '7' \(str\) in entry 1, expected a number"),
-        ("true", r"position is 'True' \(bool\) in entry 1"),
-        ("[1, [2]]", r"position is '\[1, \[2\]\]' \(list\) in entry 1"),
-        ("{}", r"position is '\{\}' \(dict\) in entry 1"),
-        ('1, "position": 2', r"key 'position' twice in one object"),
-    ],
-)
-def test_json_that_is_no_number(tmp_path, text, line):
+@pytest.mark.parametrize("text", ['"7"', "true", "[1, [2]]", "{}", '1, "position": 2'])
+def test_json_that_is_no_number(tmp_path, text):
     first = '{"timestamp": 0, "position": 0, "goal_position": 0, "torque_enable": true}'
     path = tmp_path / "a.json"
     second = first.replace('"position": 0', f'"position": {text}')
     path.write_text(f'{{"entries": [{first}, {second}]}}')
-    refuse(path, line)
+    refuse(path, "position.*(entry 1|twice)")
     path.write_text(f'{{"entries": [{first}, {first}]}}')
     (came,) = read_tables(str(path), "auto")
     assert to_recording(came, {}, {}, simulated=False).signals["enable"].tolist() == [[1], [1]]
@@ -540,17 +427,13 @@ def test_json_that_is_no_number(tmp_path, text, line):
 @pytest.mark.parametrize(
     ("name", "suffix", "line"),
     [
-        (
-            "parquet",
-            ".txt",
-            r"suffix \.txt, but its first bytes are those of parquet; rename it or set data\.format=parq",
-        ),
-        ("mat", ".csv", r"suffix \.csv, but its first bytes are those of mat"),
-        ("npz", ".mat", r"suffix \.mat, but its first bytes are those of npz or zip"),
-        ("npz", "", r"suffix none, but its first bytes are those of npz or zip"),
+        ("parquet", ".txt", r"suffix \.txt, .* parquet; .*data\.format=parq"),
+        ("mat", ".csv", r"suffix \.csv, .* mat"),
+        ("npz", ".mat", r"suffix \.mat, .* npz or zip"),
+        ("npz", "", r"suffix none, .* npz or zip"),
         ("npz", ".zip", r"no member ends in \.json"),
-        ("mcap", ".db3", r"suffix \.db3, but its first bytes are those of mcap"),
-        ("mcap", "", r"suffix none, expected \.mcap or \.db3; rename it"),
+        ("mcap", ".db3", r"suffix \.db3, .* mcap"),
+        ("mcap", "", r"suffix none, expected \.mcap or \.db3"),
     ],
 )
 def test_a_name_that_its_contents_contradict(tmp_path, name, suffix, line):
@@ -587,16 +470,11 @@ def test_velocities_of_other_joints_than_the_positions(tmp_path):
 
 
 def test_a_velocity_that_is_no_number_is_not_estimated_instead(tmp_path):
-    columns = signals(5)
-    lines = {
-        "a.parquet": r"a\.parquet: qvel is of type string, expected real numbers",
-        "a.mat": r"a\.mat: qvel is of class cell, expected real numbers",
-    }
-    words = ["1"] * 5
+    columns, words = signals(5), ["1"] * 5
     pyarrow.parquet.write_table(pa.table({**columns, "qvel": words}), tmp_path / "a.parquet")
     scipy.io.savemat(tmp_path / "a.mat", {**columns, "qvel": np.array(words, dtype=object)})
-    for name, line in lines.items():
-        refuse(tmp_path / name, line)
+    refuse(tmp_path / "a.parquet", "qvel is of type string")
+    refuse(tmp_path / "a.mat", "qvel is of class cell")
 
 
 def test_times_that_no_number_holds(tmp_path):
@@ -611,12 +489,6 @@ def test_times_that_no_number_holds(tmp_path):
         refuse(tmp_path / f"{name}.npz", line)
     (tmp_path / "a.csv").write_text("\n".join(["time,qpos,ctrl", *(f"{value},0,0" for value in late.tolist())]))
     refuse(tmp_path / "a.csv", r"time holds 9223372036854775811")
-
-
-def test_qvel_may_be_left_out():
-    came = table(t=[0, 1], q=[0, 1], u=[0, 1])
-    recording = to_recording(came, {"time": "t", "qpos": "q", "qvel": None, "ctrl": "u"}, {}, simulated=False)
-    assert set(recording.signals) == {"qpos", "ctrl"}
 
 
 def motion(samples: int = 400) -> dict[str, np.ndarray]:
@@ -644,85 +516,52 @@ SCALES = {
 def test_a_wrong_unit_shows_in_the_numbers(scales, units):
     columns = {name: values * scales.get(name, 1) for name, values in motion().items()}
     # A full turn and a bit, so that degrees of all signals look like many turns.
-    columns["position"], columns["velocity"], columns["goal"] = (
-        1.5 * columns[name] for name in ("position", "velocity", "goal")
-    )
+    columns |= {name: 1.5 * columns[name] for name in ("position", "velocity", "goal")}
     proposal = propose(table(**columns))
     assert proposal.units == units
-    assert {signal: headers[0] for signal, headers in proposal.columns.items()} == {
-        **{"time": "time", "qpos": "position", "qvel": "velocity", "ctrl": "goal"}
-    }
-    # Position and velocity both in degrees and in SI differ in size alone; the pair decides which is which.
-    assert all(
-        any(reason.startswith(f"{signal} in {unit}: ") for reason in proposal.reasons) for signal, unit in units.items()
-    )
+    found = {signal: headers[0] for signal, headers in proposal.columns.items()}
+    assert found == {"time": "time", "qpos": "position", "qvel": "velocity", "ctrl": "goal"}
 
 
-@pytest.mark.parametrize(
-    ("header", "signal", "unit"),
-    [
-        ("time_ms", "time", "ms"),
-        ("timestamp [us]", "time", "us"),
-        ("position_deg", "qpos", "deg"),
-        ("Joint Position (rev)", "qpos", "rev"),
-        ("jointPosition", "qpos", None),
-        ("dq [rad/s]", "qvel", None),
-        ("speed_rpm", "qvel", "rpm"),
-        ("goal_position_deg", "ctrl", "deg"),
-        ("torque_cmd [N m]", "ctrl", None),
-        ("pwm_%", "ctrl", "%"),
-        ("input_volts", "supply", None),
-        ("torque_enable", "enable", None),
-        ("motor_temp", "temperature", None),
-    ],
-)
-def test_names_tell_signals_and_units(header, signal, unit):
-    proposal = propose(table(**{header: [0, 0.01, 0.02]}))
-    assert dict(proposal.columns) == {signal: (header,)}
-    assert proposal.units.get(signal) == unit
-
-
-HIP, KNEE = "FL_hip", "FL_knee"
-ROBOTS = {
-    "mit": (
-        ("t", "q", "dq", "q_des", "dq_des", "tau_ff", "tau_est", "kp", "kd", "ddq_des"),
-        {"time": "t", "qpos": "q", "qvel": "dq", "ctrl": "q_des", "ctrl_velocity": "dq_des", "ctrl_torque": "tau_ff"}
-        | {"torque": "tau_est", "kp": "kp", "kd": "kd"},
-    ),
-    "joint-states": (
-        ("/state/position[a]", "/state/effort[a]", "/cmd/position[a]", "/cmd/velocity[a]", "/cmd/effort[a]"),
-        {"qpos": "/state/position[a]", "torque": "/state/effort[a]", "ctrl": "/cmd/position[a]"}
-        | {"ctrl_velocity": "/cmd/velocity[a]", "ctrl_torque": "/cmd/effort[a]"},
-    ),
-    # Without a desired position, a torque or a velocity is the command; two torques leave doubt.
-    "velocity": (("time", "pos", "target_velocity"), {"time": "time", "qpos": "pos", "ctrl": "target_velocity"}),
-    "torque": (("time", "pos", "tau"), {"time": "time", "qpos": "pos", "ctrl": "tau"}),
-    "doubt": (("time", "q", "qcmd", "tau", "tau2_raw"), {"time": "time", "qpos": "q", "ctrl": "qcmd"}),
-    "external": (("time", "q", "qcmd", "tau_ext"), {"time": "time", "qpos": "q", "ctrl": "qcmd"}),
-    "motor": (
-        ("time", "pos", "vel", "torDes", "velDes", "posDes", "torEst", "torKdEst"),
-        {"time": "time", "qpos": "pos", "qvel": "vel", "ctrl": "posDes", "ctrl_velocity": "velDes"}
-        | {"ctrl_torque": "torDes"},
-    ),
-    "no-gain": (
-        ("time", "pos", "posDes", "torKdEst"),
-        {"time": "time", "qpos": "pos", "ctrl": "posDes"} | {"torque": "torKdEst"},
-    ),
-    "spelt-out": (
-        ("time", "q", "q_dot", "dQ_des", "qCmd"),
-        {"time": "time", "qpos": "q", "qvel": "q_dot", "ctrl": "qCmd"} | {"ctrl_velocity": "dQ_des"},
-    ),
-    # Two encoders of one joint are not two joints.
-    "encoders": (
-        ("time", "motor_pos", "load_pos", "motor_cmd"),
-        {"time": "time", "qpos": "motor_pos", "ctrl": "motor_cmd"},
-    ),
+HEADERS = {
+    **{"time_ms": ("time", "ms"), "timestamp [us]": ("time", "us"), "position_deg": ("qpos", "deg")},
+    **{"Joint Position (rev)": ("qpos", "rev"), "jointPosition": ("qpos", None), "dq [rad/s]": ("qvel", None)},
+    **{"speed_rpm": ("qvel", "rpm"), "goal_position_deg": ("ctrl", "deg"), "torque_cmd [N m]": ("ctrl", None)},
+    **{"pwm_%": ("ctrl", "%"), "input_volts": ("supply", None), "torque_enable": ("enable", None)},
+    "motor_temp": ("temperature", None),
 }
 
 
-@pytest.mark.parametrize(("headers", "expected"), ROBOTS.values(), ids=ROBOTS)
-def test_a_robots_commands_are_told_apart(headers, expected):
+@pytest.mark.parametrize("header", HEADERS)
+def test_names_show_signals_and_units(header):
+    proposal, (signal, unit) = propose(table(**{header: [0, 0.01, 0.02]})), HEADERS[header]
+    assert dict(proposal.columns) == {signal: (header,)} and proposal.units.get(signal) == unit
+
+
+HIP, KNEE = "FL_hip", "FL_knee"
+ROBOTS = {  # the signal of each header
+    "mit": {"t": "time", "q": "qpos", "dq": "qvel", "q_des": "ctrl", "dq_des": "ctrl_velocity", "ddq_des": None}
+    | {"tau_ff": "ctrl_torque", "tau_est": "torque", "kp": "kp", "kd": "kd"},
+    "joint-states": {"/state/position[a]": "qpos", "/state/effort[a]": "torque", "/cmd/position[a]": "ctrl"}
+    | {"/cmd/velocity[a]": "ctrl_velocity", "/cmd/effort[a]": "ctrl_torque"},
+    # Without a desired position, a torque or a velocity is the command; two torques leave doubt.
+    "velocity": {"time": "time", "pos": "qpos", "target_velocity": "ctrl"},
+    "torque": {"time": "time", "pos": "qpos", "tau": "ctrl"},
+    "doubt": {"time": "time", "q": "qpos", "qcmd": "ctrl", "tau": None, "tau2_raw": None},
+    "external": {"time": "time", "q": "qpos", "qcmd": "ctrl", "tau_ext": None},
+    "motor": {"time": "time", "pos": "qpos", "vel": "qvel", "torDes": "ctrl_torque", "velDes": "ctrl_velocity"}
+    | {"posDes": "ctrl", "torEst": None, "torKdEst": None},
+    "no-gain": {"time": "time", "pos": "qpos", "posDes": "ctrl", "torKdEst": "torque"},
+    "spelt-out": {"time": "time", "q": "qpos", "q_dot": "qvel", "dQ_des": "ctrl_velocity", "qCmd": "ctrl"},
+    # Two encoders of one joint are not two joints.
+    "encoders": {"time": "time", "motor_pos": "qpos", "load_pos": None, "motor_cmd": "ctrl"},
+}
+
+
+@pytest.mark.parametrize("headers", ROBOTS.values(), ids=ROBOTS)
+def test_commands_of_a_robot_are_distinguished(headers):
     proposal = propose(table(**{header: [0, 0.01, 0.02] for header in headers}))
+    expected = {signal: header for header, signal in headers.items() if signal}
     assert {signal: found[0] for signal, found in proposal.columns.items()} == expected
 
 
@@ -773,31 +612,12 @@ def test_overrides_survive_a_shell_and_hydra(tmp_path):
 def test_degrees_in_a_bam_log_are_not_taken_for_radians(tmp_path):
     columns = motion()
     columns["position"] = columns["position"] * 180 / np.pi
-    (came,) = read_tables(str(write_bam(tmp_path / "a.json", columns)), "auto")
-    with pytest.raises(LogError, match=r"perhaps .* data\.units\.qpos=deg; its columns are timestamp"):
-        to_recording(came, {}, {}, simulated=False)
-    recording = to_recording(
-        came, {"time": "timestamp", "qpos": "position", "ctrl": "goal_position"}, {"qpos": "deg"}, simulated=False
-    )
-    np.testing.assert_allclose(recording.signals["qpos"][:, 0], np.sin(columns["time"]), rtol=1e-14)
+    refuse(write_bam(tmp_path / "a.json", columns), r"perhaps .* data\.units\.qpos=deg")
 
 
 def test_a_lerobot_folder_without_data(tmp_path):
     folder = write_log(tmp_path, "lerobot", signals())
     shutil.rmtree(folder / "data")
-    with pytest.raises(LogError, match=r"no data/chunk-\*/\*\.parquet"):
-        read_tables(str(folder), "auto")
+    refuse(folder, r"no data/chunk-\*/\*\.parquet")
     (folder / "meta" / "info.json").write_text(json.dumps({"fps": 30}))
-    with pytest.raises(LogError, match=r"info\.json: not readable as the description of a LeRobot data set"):
-        read_tables(str(folder), "auto")
-
-
-def test_a_workshop_s_units_come_back_in_si(tmp_path):
-    columns = signals()
-    (came,) = read_tables(str(write_degrees(tmp_path / "degrees.csv", columns)), "auto")
-    names = {"time": "time_ms", "qpos": ["angle"], "qvel": ["speed"], "ctrl": ["goal"]}
-    units = {"time": "ms", "qpos": "deg", "qvel": "rpm", "ctrl": "deg"}
-    recording = to_recording(came, names, units, simulated=False)
-    np.testing.assert_allclose(recording.time, columns["time"], rtol=1e-15)  # one rounding there and one back
-    for signal, values in recording.signals.items():
-        np.testing.assert_allclose(values[:, 0], columns[signal], rtol=1e-15)
+    refuse(folder, r"info\.json: ")

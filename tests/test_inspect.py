@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -74,54 +75,48 @@ def test_what_is_in_order_is_good():
     titles = ("Hardware data", "Clock", "Completeness", "Spikes", "Velocity", "Excitation", "Resolution")
     assert states == dict.fromkeys(titles, "good") | {"Command": "note"}
     assert all(finding["option"] is None for finding in found.values())
-
-
-def test_faults_are_told_with_the_option_that_answers_them(faulty):
-    found = findings(*faulty)
-    assert found["Spikes"]["option"] == "data.clean.spikes=repair"
-    assert found["Spikes"]["text"].startswith("1 of 3 recordings contain isolated spikes in the position, 2 in total.")
-    assert found["Clock"]["option"] == "data.clean.step=0.01"
-    assert "Found: 1 gap." in found["Completeness"]["text"]
-    assert "lags the position's derivative by 20" in found["Velocity"]["text"]
-    assert found["Velocity"]["option"] == "data.clean.velocity=estimated"
-    assert "12 V" in found["Supply"]["text"] and "header's vin is 15 V" in found["Supply"]["text"]
-    assert "off for up to 10 %" in found["Drive off"]["text"]
-
-
-def test_a_late_command_asks_for_a_parameter():
-    found = findings(simulate_servo(0.03, True))["Command"]
-    assert found["option"] == "bench.params.delay=..." and found["state"] == "caution"
-    late = float(re.search(r"about (\d+) ms late", found["text"])[1])
-    assert late == pytest.approx(30, abs=4)  # the simple drive's step is 2.5 ms
-
-
-@pytest.mark.parametrize(
-    ("recording", "title", "text"),
-    [
-        (swing(qpos=np.where(TIME < 1, np.sin(3 * TIME), np.sin(3))), "Excitation", "Stribeck and viscous friction"),
-        (swing(qpos=np.where(TIME < 1, np.sin(3 * TIME), np.sin(3))), "Rest", "at rest for"),
-        (swing(qpos=TIME + 0.1 * np.sin(TIME), qvel=1 + 0.1 * np.cos(TIME)), "Direction", "0 % backward"),
-        (swing(qpos=np.cumsum(0.01 * BACK), qvel=BACK), "Direction", "0 % of the samples move forward"),
-        (swing(qpos=80 * np.sin(3 * TIME), qvel=240 * np.cos(3 * TIME)), "Units", "look like degrees"),
-        (swing(scale=57.3), "Units", "57."),
-        (swing(qvel=np.random.default_rng(0).normal(size=1000)), "Velocity", "does not match"),
-        (swing(ctrl=np.sign(np.sin(TIME))), "Saturation", "at an end of its range"),
-        (swing(supply=np.where(TIME == 5, 0, 12.0)), "Supply readings", "1 of 1 recordings"),
-    ],
-)
-def test_each_kind_of_finding(recording, title, text):
-    assert text in findings(recording)[title]["text"]
-
-
-def test_simulated_data_say_so():
     assert "Simulated data" in findings(replace(swing(), simulated=True))
 
 
-def test_several_joints_are_told_apart():
-    time, one = TIME, swing()
-    signals = {name: np.hstack([values, values]) for name, values in one.signals.items()}
-    signals["qpos"] = spiked(Recording("a", time, signals), 300).signals["qpos"] * [1, 0] + signals["qpos"] * [0, 1]
-    survey = validate(survey_recordings("arm", [Recording("arm.csv", time, signals)], "slide"))
+def test_faults_are_found_with_the_option_that_solves_them(faulty):
+    found = findings(*faulty)
+    assert found["Spikes"]["option"] == "data.clean.spikes=repair" and "1 of 3 rec" in found["Spikes"]["text"]
+    assert found["Clock"]["option"] == "data.clean.step=0.01"
+    assert "1 gap." in found["Completeness"]["text"]
+    assert found["Velocity"]["option"] == "data.clean.velocity=estimated" and "by 20" in found["Velocity"]["text"]
+    assert "12 V" in found["Supply"]["text"] and "vin is 15 V" in found["Supply"]["text"]
+    assert "10 %" in found["Drive off"]["text"]
+    late = findings(simulate_servo(0.03, True))["Command"]
+    assert late["option"] == "bench.params.delay=..." and late["state"] == "caution"
+    # The simple drive's step is 2.5 ms.
+    assert float(re.search(r"about (\d+) ms", late["text"])[1]) == pytest.approx(30, abs=4)
+
+
+STILL, FORWARD = np.where(TIME < 1, np.sin(3 * TIME), np.sin(3)), TIME + 0.1 * np.sin(TIME)
+
+
+@pytest.mark.parametrize(
+    ("signals", "title", "text"),
+    [
+        ({"qpos": STILL}, "Excitation", "Stribeck and viscous friction"),
+        ({"qpos": STILL}, "Rest", "at rest for"),
+        ({"qpos": FORWARD, "qvel": 1 + 0.1 * np.cos(TIME)}, "Direction", "0 % backward"),
+        ({"qpos": np.cumsum(0.01 * BACK), "qvel": BACK}, "Direction", "0 % of the samples move forward"),
+        ({"qpos": 80 * np.sin(3 * TIME), "qvel": 240 * np.cos(3 * TIME)}, "Units", "look like degrees"),
+        ({"scale": 57.3}, "Units", "57."),
+        ({"qvel": np.random.default_rng(0).normal(size=1000)}, "Velocity", "does not match"),
+        ({"ctrl": np.sign(np.sin(TIME))}, "Saturation", "at an end of its range"),
+        ({"supply": np.where(TIME == 5, 0, 12.0)}, "Supply readings", "1 of 1 recordings"),
+    ],
+)
+def test_each_kind_of_finding(signals, title, text):
+    assert text in findings(swing(**signals))[title]["text"]
+
+
+def test_joints_are_distinguished():
+    signals = {name: np.hstack([values, values]) for name, values in swing().signals.items()}
+    signals["qpos"][300, 0] -= 2.0
+    survey = validate(survey_recordings("arm", [Recording("arm.csv", TIME, signals)], "slide"))
     units = {row[0]: row[-1] for row in list_quantities(survey)}
     assert (units["position 1"], units["velocity 1"]) == ("m", "m/s")
     assert not any("rad" in finding["text"] for finding in survey["findings"])
@@ -162,24 +157,10 @@ def test_every_field_of_the_schema_is_described():
     assert [field for name, section in sections for field in undescribed(section, name)] == []
 
 
-def test_the_summary_is_short_and_has_all(page, tmp_path):
-    _, survey = page
-    text = summarise(survey, tmp_path)
-    assert text.startswith("swings: 3 recordings, 2800 samples")
-    assert max(map(len, text.splitlines()[:-1])) <= 160 and str(tmp_path) in text
-    for finding in survey["findings"]:
-        assert finding["title"] in text
-    assert "data.clean.spikes=repair" in text
-
-
 def test_logs_serve_where_there_are_no_recordings():
-    class Source:
-        def load(self):
-            position = np.sin(3 * TIME)[:, None]
-            log = Log("log", TIME, position, position, position, "", True, extras={"supply": 0 * position + 12})
-            return Dataset("logs", (log,), (log,))
-
-    recordings = list_recordings(Source())
+    position = np.sin(3 * TIME)[:, None]
+    log = Log("log", TIME, position, position, position, "", True, extras={"supply": 0 * position + 12})
+    recordings = list_recordings(SimpleNamespace(load=lambda: Dataset("logs", (log,), (log,))))
     assert len(recordings) == 2 and set(recordings[0].signals) == {"qpos", "qvel", "ctrl", "supply"}
 
 
@@ -191,12 +172,14 @@ def page(faulty, tmp_path_factory):
     return path, survey
 
 
-def test_the_page_has_the_findings_and_the_worst_recording(page, faulty):
+def test_page_and_summary_have_the_findings_and_the_worst_recording(page, faulty, tmp_path):
     path, survey = page
-    source = path.read_text(encoding="utf-8")
+    source, summary = path.read_text(encoding="utf-8"), summarise(survey, tmp_path)
     shown = Page(source)
+    assert summary.startswith("swings: 3 recordings, 2800 samples") and str(tmp_path) in summary
+    assert max(map(len, summary.splitlines()[:-1])) <= 160 and "data.clean.spikes=repair" in summary
     for finding in survey["findings"]:
-        assert " ".join(finding["text"].split()) in shown.text
+        assert finding["title"] in summary and " ".join(finding["text"].split()) in shown.text
     assert rank_by_faults(survey)[0]["name"] == HOSTILE
     figures = read_data(source)["figures"]
     assert len(figures) == 2 + 6  # velocities, the worst recording, spreads
@@ -236,26 +219,24 @@ def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_pat
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("data=fils",), "frictionzoo: data=fils: no such data; did you mean files"),
-        (("data=files", "data.train=[nothing.csv]"), "frictionzoo: nothing.csv: "),
+        (("data=fils",), "data=fils: no such data; did you mean files"),
+        (("data=files", "data.train=[nothing.csv]"), "nothing.csv: "),
         (("data=files", "data.trian=[a.csv]"), "data.trian: unknown option; did you mean train"),
-        (("data=files", "data.split.gap=x"), "data.split.gap=x; expected a number"),
-        (("~data",), "~data: a job needs one data"),
-        (("data=files,twin", "--multirun"), "--multirun: one data set at a time"),
+        (("~data",), "~data: "),
+        (("data=files,twin", "--multirun"), "--multirun: "),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(call, monkeypatch, overrides, message):
     monkeypatch.setattr("conftest.main", main)  # in place of that of a job
     finished = call(*overrides)
     assert finished.status == 2
-    assert message in finished.err and finished.err.count("\n") == 1
+    assert finished.err.startswith(f"frictionzoo: {message}") and finished.err.count("\n") == 1
 
 
 @needs_data
-def test_sts3215_is_told_what_others_found():
+def test_sts3215_shows_what_others_found():
     # 24 of the 960 logs: enough for all but the delay, for which tests of the diagnosis take more.
     found = findings(*read_sts3215(DATA, every=40))
-    assert re.search(r"derivative by (19|20)\.\d", found["Velocity"]["text"]) or "by 20 ms" in found["Velocity"]["text"]
-    assert "header's vin is 15 V" in found["Supply"]["text"]
-    assert "isolated spike" in found["Spikes"]["text"]
+    assert re.search(r"derivative by (19\.|20\.|20 ms)", found["Velocity"]["text"])
+    assert "vin is 15 V" in found["Supply"]["text"] and "isolated spike" in found["Spikes"]["text"]
     assert found["Clock"]["option"] == "data.clean.step=0.01"

@@ -110,10 +110,6 @@ def test_a_step_with_a_payload_is_that_of_a_welded_body(
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 if constraint and joints > 1 else 1e-12)
 
 
-def test_a_bench_without_a_payload_has_no_load(knee: Bench) -> None:
-    assert knee.load(NO_PAYLOAD).shape == (0,)
-
-
 def record(path: Path, bench: Bench, payload: Payload, seed: int) -> None:
     truth = {name: np.array([value]) for name, value in TRUTH.items()}
     model = welded(bench, payload, True, truth)
@@ -139,16 +135,9 @@ def test_one_drive_is_found_from_recordings_with_different_payloads(
     numbers = [[payload.mass, *payload.position, *payload.inertia] for payload in PAYLOADS]
     listed = ",".join(f"[{','.join(map(str, row))}]" for row in numbers)
     files = [str(tmp_path / f"{index}.csv") for index in range(3)]
+    shared = "model=mujoco_default data=files bench=knee recipe=given fit=lm dtype=float64 compilation_cache=null"
     config = compose(
-        *(
-            "model=mujoco_default",
-            "data=files",
-            "bench=knee",
-            "recipe=given",
-            "fit=lm",
-            "dtype=float64",
-            "compilation_cache=null",
-        ),
+        *shared.split(),
         *(f"data.train=[{files[0]},{files[1]}]", f"data.test=[{files[2]}]", f"data.payload=[{listed}]"),
         *(f"bench.mjcf={bench.source}", "bench.joint=j0", "bench.payload=carrier", "segments.length=10"),
         *("evaluation.horizons=[0.5]", "evaluation.trajectory=1.0"),
@@ -170,38 +159,35 @@ def test_one_drive_is_found_from_recordings_with_different_payloads(
 
 
 def test_a_payload_needs_a_body_that_is_there(tmp_path: Path, knee: Bench) -> None:
+    assert knee.load(NO_PAYLOAD).shape == (0,)
     zeros = np.zeros((10, 1))
     log = Log("a.csv", np.arange(10) * 1e-3, zeros, zeros, zeros, "", False, PAYLOADS[0])
-    with pytest.raises(BenchError, match=r"a\.csv: a payload of 0\.7 kg, but bench\.payload=null; name the body"):
+    with pytest.raises(BenchError, match=r"a\.csv: .*bench\.payload=null"):
         knee.accept(log)
     with pytest.raises(BenchError, match=r"no body carier; did you mean carrier\?"):
         make_bench(tmp_path, f'<body name="carrier">{BODIES["hinge with gravity"]}</body>', 1, "carier")
 
 
-def test_a_body_without_mass_may_carry_a_payload_or_none(tmp_path: Path) -> None:
-    body = f'<body>{BODIES["hinge with gravity"]}<body name="carrier" pos="0 0 -0.2"/></body>'
-    bench = make_bench(tmp_path, body, 1)
+def test_a_body_without_mass_may_carry_a_payload_but_one_without_a_joint_not(tmp_path: Path) -> None:
+    hinge = BODIES["hinge with gravity"]
+    bench = make_bench(tmp_path, f'<body>{hinge}<body name="carrier" pos="0 0 -0.2"/></body>', 1)
     bare, loaded = bench.load(NO_PAYLOAD), bench.load(PAYLOADS[0])
     assert np.isfinite(bare).all() and loaded[0] == PAYLOADS[0].mass
     assert loaded[-1] > bare[-1] > 0
-
-
-def test_a_body_that_no_joint_moves_carries_none(tmp_path: Path) -> None:
     stand = '<body name="carrier"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
-    body = f"{stand}<body>{BODIES['hinge with gravity']}</body>"
     with pytest.raises(BenchError, match="no joint moves body carrier"):
-        make_bench(tmp_path, body, 1)
+        make_bench(tmp_path, f"{stand}<body>{hinge}</body>", 1)
 
 
 @pytest.mark.parametrize(
     ("payload", "line"),
     [
-        ([[1.0] * 7], r"data\.payload has 1 entries, expected 2, one a recording, train first"),
-        ([[1.0] * 7, [1.0] * 6], r"data\.payload of b\.csv is .*; expected 7 numbers"),
-        ([[1.0] * 7, [float("nan")] * 7], "expected 7 numbers"),
-        ([[1.0] * 7, 3.0], "expected 7 numbers"),
-        ([[1.0, 0, 0, 0, 1, 0, 0], [0.0] * 7], "no inertia above the sum of the other two"),
-        ([[-1.0, 0, 0, 0, 0, 0, 0], [0.0] * 7], "expected mass and inertia of at least 0"),
+        ([[1.0] * 7], r"data\.payload has 1 entries, expected 2"),
+        ([[1.0] * 7, [1.0] * 6], r"data\.payload of b\.csv"),
+        ([[1.0] * 7, [float("nan")] * 7], "7 numbers"),
+        ([[1.0] * 7, 3.0], "7 numbers"),
+        ([[1.0, 0, 0, 0, 1, 0, 0], [0.0] * 7], "inertia"),
+        ([[-1.0, 0, 0, 0, 0, 0, 0], [0.0] * 7], "mass"),
     ],
 )
 def test_a_payload_that_makes_no_sense_is_refused(payload: list, line: str) -> None:

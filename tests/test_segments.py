@@ -48,9 +48,6 @@ def test_fewer_segments_are_distinct_and_spread_over_the_whole_log(count):
     assert len(starts) == count == len(set(starts))
     spacing = np.diff([*starts, 1000])
     assert np.abs(spacing - 1000 / count).max() <= 10  # no gap is more than one segment off the mean
-
-
-def test_count_is_a_maximum():
     assert cut_segments([make_log(21)], 500, 5).count == 4
 
 
@@ -60,47 +57,29 @@ def test_several_joints_and_actuators_keep_their_columns():
     assert segments.signals.ctrl.shape == (2, 5, 2)
 
 
-def test_a_log_that_is_too_short_is_left_out_and_named(caplog):
-    segments = cut_segments([make_log(11), make_log(4, "short.csv")], None, 5)
-    assert segments.count == 2
-    assert "short.csv: 4 samples, too short for 5 steps" in caplog.text
-
-
-def test_segments_need_enough_samples():
-    line = r"^a\.csv: 4 samples, expected at least 6 for one segment of 5 steps; record a longer log or set"
-    with pytest.raises(LogError, match=line):
-        cut_segments([make_log(4)], 10, 5)
+def test_a_log_that_is_too_short_is_left_out_and_named_or_refused(caplog):
+    assert cut_segments([make_log(11), make_log(4, "short.csv")], None, 5).count == 2
+    assert "short.csv: 4 samples" in caplog.text
     assert cut_segments([make_log(6)], 10, 5).count == 1
+    with pytest.raises(LogError, match=r"^a\.csv: 4 samples, expected at least 6 .*segments\.length"):
+        cut_segments([make_log(4)], 10, 5)
 
 
-@pytest.mark.parametrize(
-    ("count", "length", "line"), [(0, 5, "segments.count=0"), (None, 0, "segments.length=0")], ids=["count", "length"]
-)
+@pytest.mark.parametrize(("count", "length", "line"), [(0, 5, "segments.count=0"), (None, 0, "segments.length=0")])
 def test_segments_refuse_impossible_options(count, length, line):
     with pytest.raises(ConfigError, match=line):
         cut_segments([make_log(50)], count, length)
 
 
-MIXTURES = {
-    "timestep": ({"timestep": 0.02}, r"b\.csv: timestep 0.02 s, expected 0.01 s as in a\.csv"),
-    "nv": ({"nv": 2}, r"b\.csv: 2 columns of qpos, expected 1 as in a\.csv"),
-    "nu": ({"nu": 3}, r"b\.csv: 3 columns of ctrl, expected 1 as in a\.csv"),
-}
-
-
-@pytest.mark.parametrize(("other", "line"), MIXTURES.values(), ids=MIXTURES)
 @pytest.mark.parametrize(
-    "cut",
-    [lambda logs: cut_segments(logs, None, 5), lambda logs: cut_rollouts(logs, 0.1, None, "consecutive", 0)],
-    ids=["segments", "rollouts"],
+    ("other", "line"), [({"timestep": 0.02}, "timestep 0.02 s"), ({"nv": 2}, "2 .*qpos"), ({"nu": 3}, "3 .*ctrl")]
 )
-def test_logs_that_do_not_belong_together(cut, other, line):
-    with pytest.raises(LogError, match=line):
-        cut([make_log(50), make_log(50, "b.csv", **other)])
-
-
-def test_no_log_at_all():
-    with pytest.raises(LogError, match="no log was given"):
+def test_logs_that_do_not_belong_together(other, line):
+    logs = [make_log(50), make_log(50, "b.csv", **other)]
+    for cut in (lambda: cut_segments(logs, None, 5), lambda: cut_rollouts(logs, 0.1, None, "consecutive", 0)):
+        with pytest.raises(LogError, match=rf"b\.csv: {line}.* as in a\.csv"):
+            cut()
+    with pytest.raises(LogError, match="no log"):
         cut_segments([], None, 5)
 
 
@@ -137,24 +116,19 @@ def test_a_window_says_of_which_log_it_is_and_when_it_begins():
 def test_more_random_rollouts_than_places_gives_every_place():
     rollouts = cut_rollouts([make_log(15)], 0.1, 100, "random", 0)
     assert sorted(rollouts.qpos[:, 0, 0]) == [0, 1, 2, 3, 4]
-
-
-def test_every_log_needs_one_horizon():
-    line = r"^b\.csv: 50 samples, expected at least 101 for a rollout of 1 s; .* evaluation\.horizons"
-    with pytest.raises(LogError, match=line):
+    with pytest.raises(LogError, match=r"^b\.csv: 50 samples, expected at least 101 .*evaluation\.horizons"):
         cut_rollouts([make_log(300), make_log(50, "b.csv")], 1.0, 10, "random", 0)
 
 
 @pytest.mark.parametrize(
     ("horizon_s", "count", "placement", "line"),
     [
-        (0.1, 5, "randon", r"evaluation\.placement=randon: unknown; did you mean random\?"),
-        (0.1, None, "random", r"evaluation\.rollouts=null .* expected a number"),
+        (0.1, 5, "randon", r"evaluation\.placement=randon: .*did you mean random"),
+        (0.1, None, "random", r"evaluation\.rollouts=null"),
         (0.1, 0, "random", r"evaluation\.rollouts=0"),
         (0.1, 0, "consecutive", r"evaluation\.rollouts=0"),
-        (0.001, 5, "random", r"evaluation\.horizons: 0\.001 s, expected at least one step of 0\.01 s"),
+        (0.001, 5, "random", r"evaluation\.horizons: 0\.001 s"),
     ],
-    ids=["placement", "no-count", "count-random", "count-consecutive", "horizon"],
 )
 def test_rollouts_refuse_impossible_options(horizon_s, count, placement, line):
     with pytest.raises(ConfigError, match=line):
@@ -170,20 +144,16 @@ def test_train_and_test_never_meet():
 
 
 @pytest.mark.parametrize(
-    ("test_share", "gap", "line"),
+    ("test_share", "gap", "kind", "line"),
     [
-        (0.0, 0.0, r"a\.csv: the test part has 0 of 100 samples .* change data\.split"),
-        (0.01, 0.0, r"the test part has 1 of 100 samples"),
-        (1.0, 0.0, r"the train part has 0 of 100 samples"),
-        (0.5, 9.0, r"the train part has 0 of 100 samples .* gap=9 s"),
+        (0.0, 0.0, LogError, r"a\.csv: the test part has 0 of 100 samples .* change data\.split"),
+        (0.01, 0.0, LogError, r"the test part has 1 of 100 samples"),
+        (1.0, 0.0, LogError, r"the train part has 0 of 100 samples"),
+        (0.5, 9.0, LogError, r"the train part has 0 of 100 samples"),
+        (1.5, 0.0, ConfigError, "test_share=1.5"),
+        (0.2, -1.0, ConfigError, r"gap=-1\.0"),
     ],
 )
-def test_a_split_that_leaves_a_part_empty(test_share, gap, line):
-    with pytest.raises(LogError, match=line):
-        split_by_time(make_log(100), test_share, gap)
-
-
-@pytest.mark.parametrize(("test_share", "gap", "line"), [(1.5, 0.0, "test_share=1.5"), (0.2, -1.0, r"gap=-1\.0")])
-def test_a_split_refuses_impossible_options(test_share, gap, line):
-    with pytest.raises(ConfigError, match=line):
+def test_a_split_that_leaves_a_part_empty_or_is_impossible(test_share, gap, kind, line):
+    with pytest.raises(kind, match=line):
         split_by_time(make_log(100), test_share, gap)

@@ -21,31 +21,16 @@ SIGNALS = ("time", "qpos", "qvel", "ctrl")
 
 # Two seconds of a drive with every hidden effect, in shapes that are smooth enough for an adaptive integrator.
 SHORT = {
-    "name": "short",
-    "seed": 3,
-    "samples": 2001,
-    "timestep": 1e-3,
-    "substeps": 4,
-    "mjcf": "knee_rod.xml",
+    **{"name": "short", "seed": 3, "samples": 2001, "timestep": 1e-3, "substeps": 4, "mjcf": "knee_rod.xml"},
     "excitation": {
-        "harmonics": 5,
-        "amplitude": [0.5, 1.5],
-        "frequency": [3.0, 12.0],
-        "phase": [0.0, 6.28],
+        **{"harmonics": 5, "amplitude": [0.5, 1.5], "frequency": [3.0, 12.0], "phase": [0.0, 6.28]},
         "velocity_limit": 4.0,
     },
     "controller": {"kp": 20.0, "kd": 1.0},
     "drive": {
-        "armature": 0.05,
-        "coulomb_torque": 0.2,
-        "static_torque": 0.3,
-        "stribeck_velocity": 0.5,
-        "viscous_coefficient": 0.1,
-        "smoothing_velocity": 0.3,
-        "load_share": 0.2,
-        "ripple_torque": 0.05,
-        "ripple_periods": 12.0,
-        "command_delay": 0.002,
+        **{"armature": 0.05, "coulomb_torque": 0.2, "static_torque": 0.3, "stribeck_velocity": 0.5},
+        **{"viscous_coefficient": 0.1, "smoothing_velocity": 0.3, "load_share": 0.2},
+        **{"ripple_torque": 0.05, "ripple_periods": 12.0, "command_delay": 0.002},
     },
     "sensor": {"position_quantum": 0.0, "velocity_noise": 0.0},
     "split": {"test_share": 0.4, "gap": 0.1},
@@ -123,11 +108,8 @@ def test_the_rod_has_the_published_inertia_and_hangs_down():
 
 
 def test_a_frictionless_free_drive_keeps_its_energy():
-    nothing = dict.fromkeys(SHORT["drive"], 0.0) | {
-        "armature": 0.01,
-        "stribeck_velocity": 1.0,
-        "smoothing_velocity": 1.0,
-    }
+    nothing = dict.fromkeys(SHORT["drive"], 0.0)
+    nothing |= {"armature": 0.01, "stribeck_velocity": 1.0, "smoothing_velocity": 1.0}
     twin = Twin(**options(samples=1000, substeps=20, drive=nothing, controller={"kp": 0.0, "kd": 0.0}))
     qpos, qvel = twin.simulate(np.full(1000, 0.5))
     inertia = 0.0011 + 0.26 * 0.1127**2 + 0.01
@@ -162,15 +144,6 @@ def test_the_encoder_has_steps_and_the_velocity_noise(whole):
     np.testing.assert_array_equal(measured.ctrl, exact.ctrl)
 
 
-@pytest.mark.parametrize(
-    ("term", "value"),
-    [("load_share", 0.0), ("ripple_torque", 0.0), ("static_torque", 0.2), ("viscous_coefficient", 0.0)],
-)
-def test_every_term_of_the_friction_moves_the_joint(term, value, whole):
-    without = Twin(**options(samples=801, **{f"drive__{term}": value})).load().train[0]
-    assert np.abs(whole.train[0].qpos[: without.samples] - without.qpos).max() > 5e-4
-
-
 @pytest.mark.parametrize("name", ["twin", "twin_clean"])
 def test_the_hidden_friction_only_dissipates(name, tmp_path):
     drive = from_yaml(name, tmp_path).drive
@@ -180,23 +153,17 @@ def test_the_hidden_friction_only_dissipates(name, tmp_path):
     assert drive.friction(0.3, 0.0, 2.0) == 0.0
 
 
-def test_the_clean_drive_is_coulomb_stribeck_and_nothing_else(tmp_path):
-    drive = from_yaml("twin_clean", tmp_path).drive
+def test_the_default_twin_has_every_hidden_effect_and_the_clean_one_none(tmp_path):
+    twin, drive = from_yaml("twin", tmp_path), from_yaml("twin_clean", tmp_path).drive
+    assert all(value > 0 for value in (twin.drive.load_share, twin.drive.ripple_torque, twin.drive.command_delay))
+    assert twin.sensor.position_quantum > 0 and twin.sensor.velocity_noise > 0 and twin.substeps > 1
+    assert twin.drive.ripple_torque < twin.drive.coulomb_torque  # or friction would drive the joint somewhere
     assert (drive.load_share, drive.ripple_torque, drive.command_delay) == (0.0, 0.0, 0.0)
     for qvel in (-2.0, -0.05, 0.003, 0.5):
         stribeck = (drive.static_torque - drive.coulomb_torque) * math.exp(-((qvel / drive.stribeck_velocity) ** 2))
         law = (drive.coulomb_torque + stribeck) * math.tanh(qvel / 0.01) + drive.viscous_coefficient * qvel
         # The law is the same expression, so only rounding separates them.
         assert drive.friction(0.7, qvel, 5.0) == pytest.approx(law, rel=1e-14)
-
-
-def test_the_default_twin_has_every_hidden_effect(tmp_path):
-    twin = from_yaml("twin", tmp_path)
-    drive, sensor = twin.drive, twin.sensor
-    assert all(value > 0 for value in (drive.load_share, drive.ripple_torque, drive.command_delay))
-    assert sensor.position_quantum > 0 and sensor.velocity_noise > 0
-    assert drive.ripple_torque < drive.coulomb_torque  # or friction would drive the joint somewhere
-    assert twin.substeps > 1
 
 
 @pytest.mark.parametrize("name", ["twin", "twin_clean"])
@@ -246,75 +213,54 @@ def test_the_same_seed_gives_the_same_recording_and_another_another():
     assert not same(first, other) and first.sha256 != other.sha256
 
 
-def test_the_hash_is_that_of_the_whole_recording(tmp_path):
-    dataset = Twin(**options(samples=401, cache_dir=str(tmp_path))).load()
-    with np.load(next(tmp_path.iterdir()), allow_pickle=False) as stored:
-        whole = {signal: stored[signal] for signal in SIGNALS}
-    assert dataset.train[0].sha256 == dataset.test[0].sha256 == cache.digest(whole)
-    changed = whole | {"ctrl": whole["ctrl"] + 1e-12}
-    assert cache.digest(changed) != cache.digest(whole)
-
-
-def test_the_cache_is_read(tmp_path):
+def test_the_cache_is_read_and_its_hash_is_that_of_the_whole_recording(tmp_path):
     twin = Twin(**options(samples=401, cache_dir=str(tmp_path)))
-    made = twin.load().train[0]
+    made = twin.load()
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".jsonl", ".npz"]
-    assert same(made, twin.load().train[0])
+    assert same(made.train[0], twin.load().train[0])
     with np.load(twin.cache_file(), allow_pickle=False) as stored:
         marked = {signal: stored[signal] for signal in SIGNALS}
+    assert made.train[0].sha256 == made.test[0].sha256 == cache.digest(marked)
     marked["qpos"] = marked["qpos"] + 1.0  # intact, and recognisable
+    assert cache.digest(marked) != made.train[0].sha256
     np.savez(twin.cache_file(), sha256=np.array(cache.digest(marked)), **marked)
-    np.testing.assert_array_equal(twin.load().train[0].qpos, made.qpos + 1.0)
+    np.testing.assert_array_equal(twin.load().train[0].qpos, made.train[0].qpos + 1.0)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"seed": 4},
-        {"samples": 1999},
-        {"substeps": 5},
-        {"drive__armature": 0.051},
-        {"sensor__velocity_noise": 0.01},
-        {"controller__kp": 21.0},
-        {"excitation__velocity_limit": 3.9},
-    ],
-    ids=lambda changes: next(iter(changes)),
-)
-def test_another_setting_has_another_cache_file(changes, tmp_path):
+def test_another_setting_has_another_cache_file_but_another_split_the_same(tmp_path):
+    changes = {"seed": 4, "samples": 1999, "substeps": 5, "drive__armature": 0.051, "sensor__velocity_noise": 0.01}
+    changes |= {"controller__kp": 21.0, "excitation__velocity_limit": 3.9}
     folder = {"cache_dir": str(tmp_path)}
-    assert Twin(**options(**changes, **folder)).cache_file() != Twin(**options(**folder)).cache_file()
-
-
-def test_the_split_shares_the_cache_file(tmp_path):
-    folder = {"cache_dir": str(tmp_path)}
-    assert Twin(**options(split__gap=0.2, **folder)).cache_file() == Twin(**options(**folder)).cache_file()
+    files = {Twin(**options(**folder, **{name: value})).cache_file() for name, value in changes.items()}
+    whole = Twin(**options(**folder)).cache_file()
+    assert len(files | {whole}) == 1 + len(changes)
+    assert Twin(**options(split__gap=0.2, **folder)).cache_file() == whole
 
 
 @pytest.mark.parametrize("damage", ["garbage", "empty", "truncated", "no-array", "wrong-hash", "objects"])
 def test_a_damaged_cache_is_made_anew(damage, tmp_path, caplog):
     twin = Twin(**options(samples=401, cache_dir=str(tmp_path)))
-    made = twin.load().train[0]
-    path = twin.cache_file()
+    made, path = twin.load().train[0], twin.cache_file()
     whole = path.read_bytes()
     with np.load(path, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
-    if damage == "no-array":
-        np.savez(path, **{name: values for name, values in arrays.items() if name != "qvel"})
-    elif damage == "wrong-hash":
-        np.savez(path, **(arrays | {"qvel": arrays["qvel"] + 1.0}))
-    elif damage == "objects":
-        np.savez(path, **(arrays | {"qvel": np.array([print], dtype=object)}))
+    changed = {
+        "no-array": {name: values for name, values in arrays.items() if name != "qvel"},
+        "wrong-hash": arrays | {"qvel": arrays["qvel"] + 1.0},
+        "objects": arrays | {"qvel": np.array([print], dtype=object)},
+    }
+    if damage in changed:
+        np.savez(path, **changed[damage])
     else:
         path.write_bytes({"garbage": b"not an archive", "empty": b"", "truncated": whole[: len(whole) // 2]}[damage])
     damaged = path.read_bytes()
     assert same(made, twin.load().train[0])
-    assert "rebuilt" in caplog.text
-    assert path.read_bytes() == damaged and "changed since it was written" in caplog.text  # no more the cache's own
+    # The file does not belong to the cache any more.
+    assert "rebuilt" in caplog.text and "changed since it was written" in caplog.text and path.read_bytes() == damaged
     path.unlink()
     assert same(made, twin.load().train[0])
     caplog.clear()
-    assert same(made, twin.load().train[0])
-    assert not caplog.text
+    assert same(made, twin.load().train[0]) and not caplog.text
 
 
 def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, caplog, whole):
@@ -325,27 +271,28 @@ def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, caplog, whole)
 
 
 def test_the_users_cache_folder_is_the_operating_systems(tmp_path):
-    assert cache.cache_folder(None) is None
-    assert cache.cache_folder(str(tmp_path)) == tmp_path
+    assert cache.cache_folder(None) is None and cache.cache_folder(str(tmp_path)) == tmp_path
     assert "frictionzoo" in str(cache.cache_folder("user"))
 
 
-BAD_OPTIONS = {
-    "bench": ({"mjcf": "knee_rot.xml"}, r"data\.mjcf=knee_rot\.xml: no such bench; did you mean knee_rod\.xml\?"),
-    "unknown": ({"drive__armatur": 1.0}, r"data\.drive\.armatur: unknown option; did you mean armature\?"),
-    "missing": ({"controller": {"kp": 20.0}}, r"data\.controller\.kd: missing; give kp, kd"),
-    "number": ({"drive__armature": "much"}, r"data\.drive\.armature=much: expected a number"),
-    "range": ({"excitation__phase": [0.0]}, r"data\.excitation\.phase=\[0\.0\]: expected two numbers, \[low, high\]"),
-    "samples": ({"samples": 0}, r"data\.samples=0: expected a whole number of 2 or more"),
-    "substeps": ({"substeps": 0}, r"data\.substeps=0: expected a whole number of 1 or more"),
-    "seed": ({"seed": -1}, r"data\.seed=-1: expected a whole number of 0 or more"),
-    "speed": ({"drive__smoothing_velocity": 0.0}, r"data\.drive\.smoothing_velocity=0: expected a positive speed"),
-    "delay": ({"drive__command_delay": -0.001}, r"data\.drive\.command_delay=-0\.001: expected 0 or more"),
-    "timestep": ({"timestep": 0.0}, r"data\.timestep=0\.0: expected a positive number"),
-}
-
-
-@pytest.mark.parametrize(("changes", "line"), BAD_OPTIONS.values(), ids=BAD_OPTIONS)
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"mjcf": "knee_rot.xml"}, r"data\.mjcf=knee_rot\.xml: .*did you mean knee_rod\.xml"),
+        ({"drive__armatur": 1.0}, r"data\.drive\.armatur: .*did you mean armature"),
+        ({"controller": {"kp": 20.0}}, r"data\.controller\.kd: missing"),
+        ({"drive__armature": "much"}, r"data\.drive\.armature=much"),
+        ({"excitation__phase": [0.0]}, r"data\.excitation\.phase=\[0\.0\]"),
+        ({"excitation__velocity_limit": 0.0}, r"data\.excitation\.velocity_limit=0"),
+        ({"samples": 0}, r"data\.samples=0"),
+        ({"substeps": 0}, r"data\.substeps=0"),
+        ({"seed": -1}, r"data\.seed=-1"),
+        ({"drive__smoothing_velocity": 0.0}, r"data\.drive\.smoothing_velocity=0"),
+        ({"drive__command_delay": -0.001}, r"data\.drive\.command_delay=-0\.001"),
+        ({"sensor__velocity_noise": -1.0}, r"data\.sensor\.velocity_noise=-1"),
+        ({"timestep": 0.0}, r"data\.timestep=0\.0"),
+    ],
+)
 def test_options_that_make_no_sense(changes, line):
     with pytest.raises(ConfigError, match=line):
         Twin(**options(**changes))

@@ -119,29 +119,27 @@ def write_mcap(path: Path, columns: Columns) -> Path:
 
 def write_lerobot(folder: Path, columns: Columns) -> Path:
     """Two episodes of the recording in one file, in single precision as LeRobot keeps it."""
-    twice = {name: np.concatenate([values, values]) for name, values in columns.items()}
-    state = np.stack([twice["qpos"], twice["qvel"]], axis=1).astype(np.float32)
-    count = len(columns["time"])
-    table = pa.table(
-        {
-            "observation.state": pa.array(state.tolist(), pa.list_(pa.float32())),
-            "action": pa.array(twice["ctrl"].astype(np.float32)[:, None].tolist(), pa.list_(pa.float32())),
-            "timestamp": twice["time"].astype(np.float32),
-            "episode_index": np.repeat([0, 1], count),
-        }
-    )
+    time, qpos, qvel, ctrl = (np.concatenate([values, values]) for values in columns.values())
+    features = {"observation.state": {"knee.pos": qpos, "knee.vel": qvel}, "action": {"knee.pos": ctrl}}
+    names = {"action": {"motors": ["knee.pos"]}}
+    return _write_lerobot(folder, time, np.repeat([0, 1], len(columns["time"])), features, names)
+
+
+def _write_lerobot(
+    folder: Path, time: np.ndarray, episode: np.ndarray, features: Mapping[str, Columns], names: Mapping[str, object]
+) -> Path:
+    table: dict[str, object] = {"timestamp": time.astype(np.float32), "episode_index": episode}
+    described = {}
+    for feature, entries in features.items():
+        values = np.stack([*entries.values()], axis=1).astype(np.float32)
+        table[feature] = pa.array(values.tolist(), pa.list_(pa.float32()))
+        listed = names.get(feature, [*entries])
+        described[feature] = {"dtype": "float32", "shape": [len(entries)], "names": listed}
     file = folder / "data" / "chunk-000" / "file-000.parquet"
     file.parent.mkdir(parents=True)
-    pyarrow.parquet.write_table(table, file)
-    info = {
-        "codebase_version": "v3.0",
-        "fps": 100,
-        "features": {
-            "observation.state": {"dtype": "float32", "shape": [2], "names": ["knee.pos", "knee.vel"]},
-            "action": {"dtype": "float32", "shape": [1], "names": {"motors": ["knee.pos"]}},
-        },
-    }
+    pyarrow.parquet.write_table(pa.table(table), file)
     (folder / "meta").mkdir()
+    info = {"codebase_version": "v3.0", "fps": 100, "features": described}
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     return folder
 
@@ -172,20 +170,8 @@ def write_robot_bag(
 
 def write_robot_lerobot(folder: Path, time: np.ndarray, features: Mapping[str, Columns], nested: bool = False) -> Path:
     """One episode of features whose entries have these names, as a list or as a list in a list."""
-    described = {}
-    table: dict[str, object] = {"timestamp": time.astype(np.float32), "episode_index": np.zeros(len(time), int)}
-    for feature, entries in features.items():
-        values = np.stack([*entries.values()], axis=1).astype(np.float32)
-        table[feature] = pa.array(values.tolist(), pa.list_(pa.float32()))
-        names = [*entries]
-        described[feature] = {"dtype": "float32", "shape": [len(names)], "names": [names] if nested else names}
-    file = folder / "data" / "chunk-000" / "file-000.parquet"
-    file.parent.mkdir(parents=True)
-    pyarrow.parquet.write_table(pa.table(table), file)
-    (folder / "meta").mkdir()
-    info = {"codebase_version": "v3.0", "fps": 100, "features": described}
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    return folder
+    names = {feature: [[*entries]] for feature, entries in features.items()} if nested else {}
+    return _write_lerobot(folder, time, np.zeros(len(time), int), features, names)
 
 
 def write_degrees(path: Path, columns: Columns) -> Path:

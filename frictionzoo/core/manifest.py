@@ -64,7 +64,6 @@ class Manifest:
     def __init__(self, root: Path, kind: str) -> None:
         self.root, self.kind, self.token = root, kind, secrets.token_hex(8)
         self._unchanged: dict[str, tuple[int, ...]] = {}
-        self._hashes: dict[str, Any] = {}
         self._began = False
         self._read()
 
@@ -119,7 +118,6 @@ class Manifest:
         """Move a file with a recorded state to its name, in one step."""
         os.replace(source, self.root / name)
         self._unchanged[name] = _fingerprint(os.lstat(self.root / name))
-        self._hashes.pop(name, None)
 
     def append(self, name: str, content: bytes) -> None:
         """Append to a file that this program wrote; OutputError as for `write`."""
@@ -128,22 +126,17 @@ class Manifest:
         self.refuse([name])
         path = self.root / name
         with saying(path, len(content)):
-            if name not in self._hashes:
-                self._hashes[name] = hashlib.sha256(path.read_bytes())
-            size = path.stat().st_size
-            self._hashes[name].update(content)
-            self.record({name: State(size + len(content), self._hashes[name].hexdigest(), size)})
-            digest = self._hashes.pop(name)
+            before = path.read_bytes()
+            self.record({name: State.of(before + content)._replace(since=len(before))})
             with open(path, "ab") as file:
                 file.write(content)
-            self._unchanged[name], self._hashes[name] = _fingerprint(os.lstat(path)), digest
+            self._unchanged[name] = _fingerprint(os.lstat(path))
 
     def remove(self, name: str) -> None:
         """Remove a file that this program wrote, if it exists; OutputError for any other file of that name."""
         self.refuse([name])
         with saying(self.root / name):
             (self.root / name).unlink(missing_ok=True)
-        self._unchanged.pop(name, None)
 
     def clear(self, folder: str = "") -> None:
         """Remove all files of this program from a subfolder or from all, and folders that become empty."""
@@ -268,17 +261,14 @@ class Manifest:
             raise OutputError(
                 f"{show_path(path)}: not a list of files of this program; move it away or write to another folder"
             )
-        self._listed = {entry["file"] for entry in entries if "file" in entry}
-        for entry in entries:
-            if entry["kind"] != self.kind:
-                continue
-            if token := entry.get("session"):
-                self._tokens.add(token)
-            elif "bytes" in entry:
-                self._marks[entry["file"]] = entry["at"], bytes.fromhex(entry["bytes"])
-            else:
-                state = State(*(entry[key] for key in State._fields))
-                self._states.setdefault(entry["file"], []).append(state)
+        self._listed = {name for _, name, _ in entries if name}
+        for kind, name, content in entries:
+            if kind == self.kind and isinstance(content, State):
+                self._states.setdefault(name, []).append(content)
+            elif kind == self.kind and isinstance(content, tuple):
+                self._marks[name] = content
+            elif kind == self.kind:
+                self._tokens.add(content)
 
     def _write(self, entries: Iterable[Mapping[str, Any]]) -> None:
         path = self.root / MANIFEST
@@ -298,20 +288,25 @@ class Manifest:
             raise
 
 
-def _parse(line: bytes) -> dict[str, Any] | None:
-    """Return an entry of a manifest; None for an invalid line, such as one that a killed process left."""
-    try:
+def _parse(line: bytes) -> tuple[str, str, State | tuple[int, bytes] | str] | None:
+    """Return kind of command, name and content (state, mark, or token of a session without a name) of an entry.
+
+    None for an invalid line, such as one that a killed process left.
+    """
+    with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
         entry = json.loads(line)
+        kind, name = entry["kind"], "" if "session" in entry else entry["file"]
         if "session" in entry:
-            is_valid = bool(_TOKEN.fullmatch(entry["session"]))
+            content = entry["session"]
+            is_valid = bool(_TOKEN.fullmatch(content))
         elif "bytes" in entry:
-            is_valid = type(entry["at"]) is int and len(bytes.fromhex(entry["bytes"])) >= 8
+            content = entry["at"], bytes.fromhex(entry["bytes"])
+            is_valid = type(content[0]) is int and len(content[1]) >= 8
         else:
-            is_valid = all(type(entry[key]) is int for key in ("size", "since")) and isinstance(entry["sha256"], str)
-        has_name = "session" in entry or isinstance(entry["file"], str)
-        return entry if is_valid and has_name and isinstance(entry["kind"], str) else None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return None
+            content = State(*(entry[key] for key in State._fields))
+            is_valid = type(content.size) is type(content.since) is int and isinstance(content.sha256, str)
+        return (kind, name, content) if is_valid and isinstance(kind, str) and isinstance(name, str) else None
+    return None
 
 
 def _matches(patterns: Iterable[str], name: str, tokens: Iterable[str]) -> bool:
@@ -336,10 +331,9 @@ def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
 def _is_one_of(path: Path, states: Sequence[State]) -> bool:
     """Return whether a file has one of these contents, or the content before an append and part of the addition."""
     size = path.stat().st_size
-    partial = {state.since for state in states if state.since < size < state.size}
-    sizes = {size, *partial}
-    hashes = {state.sha256: state.size for state in states if state.size in sizes}
-    return any(hashes.get(_hash(path, length)) == length for length in sizes & {*hashes.values()})
+    sizes = {size, *(state.since for state in states if state.since < size < state.size)}
+    written = {(state.size, state.sha256) for state in states}
+    return any((length, _hash(path, length)) in written for length in sizes & {length for length, _ in written})
 
 
 def _hash(path: Path, size: int) -> str:

@@ -46,6 +46,7 @@ _NOT_NEGATIVE |= {"torque_limit", "torque_saturation", "stall_torque", "no_load_
 _NOT_NEGATIVE |= {"kt_over_r", "kt2_over_r", "coulomb_torque", "static_torque", "kinetic_torque", "stiffness"}
 _NOT_NEGATIVE |= {"micro_damping", "viscous_coefficient", "stribeck_velocity", "smoothing_velocity"}
 """Names of quantities that cannot be negative, in benches and models."""
+_PARTS = ("init", "low", "high", "identify")  # attributes of a parameter that may differ between joints
 
 PerJoint = float | tuple[float, ...] | Mapping[str, float]
 """One number for all joints, one for each joint in order, or one for each pattern of joint names."""
@@ -160,8 +161,7 @@ class Param:
             MissingValueError: A value is None.
         """
         names = [joints[joint] for joint in self.members(len(joints))]
-        parts = {name: _resolve(f"{self.name}.{name}", part, names) for name, part in self._parts().items()}
-        return replace(self, **parts)
+        return replace(self, **{n: _resolve(f"{self.name}.{n}", part, names) for n, part in self._parts().items()})
 
     def members(self, nv: int) -> list[int]:
         """Return the indices of the joints that have this quantity, out of `nv`."""
@@ -180,8 +180,7 @@ class Param:
         return values
 
     def _parts(self) -> dict[str, Any]:
-        """Return the attributes that may differ between joints, by name."""
-        return {name: getattr(self, name) for name in ("init", "low", "high", "identify")}
+        return {name: getattr(self, name) for name in _PARTS}
 
     def each(self, what: str, nv: int) -> np.ndarray:
         """Return `init`, `low`, `high` or `identify` of each joint, shape (nv,), NaN or false as in `spread`."""

@@ -7,13 +7,13 @@ import contextlib
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError, LogError, closest
@@ -96,48 +96,21 @@ class Cleaning(Described):
             if getattr(self, option) not in choices:
                 value = getattr(self, option)
                 raise ConfigError(f"data.clean.{option}={value}: unknown; {closest(str(value), choices)}")
-        if self.step is not None and not self.step > 0:
-            raise ConfigError(f"data.clean.step={self.step}: expected a positive time in s, or null")
-        if not self.gap >= 1.5:
-            raise ConfigError(f"data.clean.gap={self.gap}: expected at least 1.5 median intervals")
-        if self.wrap is not None and not self.wrap > 0:
-            raise ConfigError(f"data.clean.wrap={self.wrap}: expected a positive angle in rad, or null")
         check_filter("data.clean", self.cutoff, self.order)
-        if not self.shortest >= 0:
-            raise ConfigError(f"data.clean.shortest={self.shortest}: expected a time in s from 0 on")
-        for option, words in (("velocity_lag", "auto or null"), ("command_lag", "or null")):
-            lag = getattr(self, option)
-            if lag is None or (lag == "auto" and "auto" in words):
-                continue
-            if isinstance(lag, str) or not math.isfinite(lag):
-                raise ConfigError(f"data.clean.{option}={lag}: expected a time in s, {words}")
+        for option, is_valid, expected in (
+            ("step", self.step is None or self.step > 0, "a positive time in s, or null"),
+            ("gap", self.gap >= 1.5, "at least 1.5 median intervals"),
+            ("wrap", self.wrap is None or self.wrap > 0, "a positive angle in rad, or null"),
+            ("shortest", self.shortest >= 0, "a time in s from 0 on"),
+            ("velocity_lag", self.velocity_lag == "auto" or _is_time(self.velocity_lag), "a time in s, auto or null"),
+            ("command_lag", _is_time(self.command_lag), "a time in s, or null"),
+        ):
+            if not is_valid:
+                raise ConfigError(f"data.clean.{option}={getattr(self, option)}: expected {expected}")
 
 
-Signals = Mapping[str, Float[np.ndarray, "time columns"]]
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Stretch of a recording during cleaning.
-
-    Attributes:
-        time: Sample times [s].
-        repairs: Changes so far, a sentence each.
-        without_velocity: Numbers of the joints whose qvel is estimated from qpos.
-    """
-
-    time: Float[np.ndarray, "time"]
-    signals: Signals
-    repairs: tuple[str, ...] = ()
-    without_velocity: tuple[int, ...] = ()
-
-    def say(self, *sentences: str) -> "Piece":
-        """Return the piece with further repair sentences."""
-        return replace(self, repairs=self.repairs + sentences)
-
-    def keep(self, kept: Bool[np.ndarray, "time"] | slice) -> "Piece":
-        """Return the piece with only the kept samples."""
-        return replace(self, time=self.time[kept], signals={name: v[kept] for name, v in self.signals.items()})
+def _is_time(lag: Any) -> bool:
+    return lag is None or (not isinstance(lag, str) and math.isfinite(lag))
 
 
 def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
@@ -148,20 +121,20 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
-    stretch = _drop_repeated(_even_out(Piece(recording.time, recording.signals, recording.notes)))
-    stretch = _drop_velocity(_unwrap(stretch, cleaning.wrap), recording.name, cleaning)
-    if cleaning.spikes == "drop" and any(map(count_spikes, stretch.signals["qpos"].T)):
+    whole = _drop_velocity(_unwrap(_drop_repeated(_even_out(recording)), cleaning.wrap), cleaning)
+    if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
         return []
     gap = cleaning.gap
     sentence = f"split where time jumps by over {gap:g} intervals or goes back"
-    parts = _split_at(stretch, find_breaks(stretch.time, gap), sentence)
+    parts = _split_at(whole, find_breaks(whole.time, gap), sentence)
     pieces = [piece for part in parts for piece in _split_at_nan(part, gap)]
     kept = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
     if len(kept) < len(pieces):
         count = len(pieces) - len(kept)
         kept = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {count}") for piece in kept]
-    names = [f"{recording.name}[{i + 1}]" for i in range(len(kept))] if len(pieces) > 1 else [recording.name]
-    return [_finish(piece, name, recording, cleaning) for piece, name in zip(kept, names, strict=False)]
+    if len(pieces) > 1:
+        kept = [replace(piece, name=f"{recording.name}[{number}]") for number, piece in enumerate(kept, 1)]
+    return [_finish(piece, cleaning) for piece in kept]
 
 
 def summarise_repairs(logs: Sequence[Log]) -> list[str]:
@@ -171,39 +144,38 @@ def summarise_repairs(logs: Sequence[Log]) -> list[str]:
     return [f"{count} of {len(logs)} logs: {examples[kind]}" for kind, count in kinds.most_common()]
 
 
-def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -> Log:
+def _finish(piece: Recording, cleaning: Cleaning) -> Log:
     piece = _fill_nan(piece)
     piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
     lag = cleaning.velocity_lag
     if lag is not None and cleaning.velocity != "estimated" and "qvel" in piece.signals:
-        lag = _find_lag(piece, name) if isinstance(lag, str) else float(lag)
-        piece = _shift(piece, name, "velocity_lag", ["qvel"], lag, cleaning.resample)
+        lag = _find_lag(piece) if isinstance(lag, str) else float(lag)
+        piece = _shift(piece, "velocity_lag", ["qvel"], lag, cleaning.resample)
     if cleaning.command_lag is not None:
         commands = [signal for signal in COMMANDS if signal in piece.signals]
-        piece = _shift(piece, name, "command_lag", commands, float(cleaning.command_lag), "held")
-    piece = _resample(piece, name, cleaning)
-    piece = _choose_velocity(piece, name, cleaning)
+        piece = _shift(piece, "command_lag", commands, float(cleaning.command_lag), "held")
+    piece = _choose_velocity(_resample(piece, cleaning), cleaning)
     if piece.time[0] != 0:
         start = piece.time[0]
         piece = replace(piece, time=piece.time - start).say(f"time counted from its first sample, at {start:.6g} s")
     return Log(
-        name,
+        piece.name,
         piece.time,
         piece.signals["qpos"],
         piece.signals["qvel"],
         piece.signals["ctrl"],
-        recording.sha256,
-        recording.simulated,
+        piece.sha256,
+        piece.simulated,
         extras={extra: piece.signals[extra] for extra in EXTRAS if extra in piece.signals},
         velocity_estimated=len(piece.without_velocity) == piece.signals["qpos"].shape[1],
         without_velocity=piece.without_velocity,
-        repairs=piece.repairs,
-        metadata=recording.fields,
-        columns=recording.columns,
+        repairs=piece.notes,
+        metadata=piece.fields,
+        columns=piece.columns,
     )
 
 
-def _even_out(piece: Piece) -> Piece:
+def _even_out(piece: Recording) -> Recording:
     """Undo rounding of even times: two interval lengths, each time at most `ROUNDED` rounding steps off."""
     steps = np.diff(piece.time)
     interval = float(piece.time[-1] - piece.time[0]) / max(len(steps), 1)
@@ -220,14 +192,14 @@ def _even_out(piece: Piece) -> Piece:
     return replace(piece, time=start + slope * samples).say(sentence)
 
 
-def _drop_repeated(piece: Piece) -> Piece:
+def _drop_repeated(piece: Recording) -> Recording:
     is_new = np.diff(piece.time, prepend=-np.inf) != 0
     if is_new.all():
         return piece
     return piece.keep(is_new).say(f"samples with a repeated time dropped: {(~is_new).sum()}")
 
 
-def _unwrap(piece: Piece, turn: float | None) -> Piece:
+def _unwrap(piece: Recording, turn: float | None) -> Recording:
     if turn is None:
         return piece
     qpos = np.unwrap(piece.signals["qpos"], period=turn, axis=0)
@@ -235,7 +207,7 @@ def _unwrap(piece: Piece, turn: float | None) -> Piece:
     return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns of the position unwrapped: {turns}")
 
 
-def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+def _drop_velocity(piece: Recording, cleaning: Cleaning) -> Recording:
     """Drop velocities to estimate: 0 for some joints, no qvel for all; LogError with `velocity=measured`."""
     qpos, qvel = piece.signals["qpos"], piece.signals.get("qvel")
     if qvel is None or cleaning.velocity == "estimated":
@@ -245,7 +217,7 @@ def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     if dead and cleaning.velocity == "measured":
         fault = next(iter(dead.values()))
         raise LogError(
-            f"{name}: {fault}, expected a measured velocity; name its column in data.columns.qvel, or set "
+            f"{piece.name}: {fault}, expected a measured velocity; name its column in data.columns.qvel, or set "
             "data.clean.velocity=auto to estimate it"
         )
     qvel = np.where(np.isin(np.arange(qvel.shape[1]), list(dead)), 0.0, qvel)
@@ -256,14 +228,14 @@ def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     return changed.say("; ".join(dead.values())) if dead else piece
 
 
-def _split_at(piece: Piece, breaks: Sequence[int] | np.ndarray, sentence: str) -> list[Piece]:
+def _split_at(piece: Recording, breaks: Sequence[int] | np.ndarray, sentence: str) -> list[Recording]:
     if not len(breaks):
         return [piece]
     edges = [0, *breaks, len(piece.time)]
     return [piece.keep(slice(first, last)).say(sentence) for first, last in pairwise(edges)]
 
 
-def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
+def _split_at_nan(piece: Recording, gap: float) -> list[Recording]:
     """Cut out runs of NaN that are longer than a gap or touch an end; these cannot be interpolated."""
     missing = ~np.all([np.isfinite(values).all(axis=1) for values in piece.signals.values()], axis=0)
     for first, last in np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2):
@@ -277,7 +249,7 @@ def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
     return [part for part, start in zip(parts, (0, *breaks), strict=True) if not missing[start]]
 
 
-def _fill_nan(piece: Piece) -> Piece:
+def _fill_nan(piece: Recording) -> Recording:
     """Fill short runs of NaN: held signals keep the last value, the others are interpolated."""
     filled, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
@@ -291,7 +263,7 @@ def _fill_nan(piece: Piece) -> Piece:
     return replace(piece, signals=filled).say(*sentences) if sentences else piece
 
 
-def _repair_spikes(piece: Piece) -> Piece:
+def _repair_spikes(piece: Recording) -> Recording:
     repaired, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
         if name in COMMANDS:
@@ -307,12 +279,12 @@ def _repair_spikes(piece: Piece) -> Piece:
     return replace(piece, signals=repaired).say(*sentences) if sentences else piece
 
 
-def _shift(piece: Piece, name: str, option: str, signals: Sequence[str], lag: float, method: str) -> Piece:
+def _shift(piece: Recording, option: str, signals: Sequence[str], lag: float, method: str) -> Recording:
     """Shift signals earlier by the lag [s] from an option, and cut the end that has no samples."""
     later = piece.time + lag
     kept = (later >= piece.time[0]) & (later <= piece.time[-1])
     if kept.sum() < 2:
-        raise LogError(f"{name}: shorter than data.clean.{option}={lag:g} s; set a smaller one")
+        raise LogError(f"{piece.name}: shorter than data.clean.{option}={lag:g} s; set a smaller one")
     shifted = {
         signal: _each(sample_signal, piece.signals[signal], piece.time, later[kept], method) for signal in signals
     }
@@ -322,20 +294,20 @@ def _shift(piece: Piece, name: str, option: str, signals: Sequence[str], lag: fl
     return replace(cut, signals={**cut.signals, **shifted}).say(sentence)
 
 
-def _find_lag(piece: Piece, name: str) -> float:
+def _find_lag(piece: Recording) -> float:
     """Return the lag of the measured velocity, the median over the joints [s]."""
     qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
     estimates = [find_velocity_lag(piece.time, repair_spikes(q), v) for q, v in zip(qpos.T, qvel.T, strict=True)]
     lags = [lag[0] for lag in estimates if lag is not None]
     if not lags:
         raise LogError(
-            f"{name}: qvel does not match a delayed derivative of the position, expected for "
+            f"{piece.name}: qvel does not match a delayed derivative of the position, expected for "
             "data.clean.velocity_lag=auto; give the lag in s or set data.clean.velocity=estimated"
         )
     return float(np.median(lags))
 
 
-def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+def _resample(piece: Recording, cleaning: Cleaning) -> Recording:
     """Resample to a uniform grid of `step`, or of the median interval if the clock varies too much."""
     steps = np.diff(piece.time)
     interval = float(np.median(steps))
@@ -346,12 +318,12 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     step = interval if cleaning.step is None else cleaning.step
     if step < interval / MOST_FINER:
         raise ConfigError(
-            f"data.clean.step={step:g}: expected at least {interval / MOST_FINER:g} s, because {name} has a sample "
-            f"every {interval:g} s"
+            f"data.clean.step={step:g}: expected at least {interval / MOST_FINER:g} s, because {piece.name} has a "
+            f"sample every {interval:g} s"
         )
     samples = int((piece.time[-1] - piece.time[0]) / step + FOLLOWED) + 1
     if samples < 2:
-        raise LogError(f"{name}: shorter than data.clean.step={step:g} s; set a smaller one, or omit it")
+        raise LogError(f"{piece.name}: shorter than data.clean.step={step:g} s; set a smaller one, or omit it")
     grid = piece.time[0] + step * np.arange(samples)
     signals = {
         name: _each(sample_signal, values, piece.time, grid, RESAMPLED.get(name, cleaning.resample))
@@ -370,22 +342,24 @@ def _each(change: Callable[..., np.ndarray], values: Float[np.ndarray, "time col
     return np.stack([change(column, *more) for column in values.T], axis=1)
 
 
-def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+def _choose_velocity(piece: Recording, cleaning: Cleaning) -> Recording:
     """Estimate velocities that are missing or inaccurate; compare the others with the position."""
     if cleaning.velocity == "measured" and "qvel" not in piece.signals:
-        raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
+        raise LogError(
+            f"{piece.name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated"
+        )
     timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
     cutoff, order, qpos = cleaning.cutoff, cleaning.order, piece.signals["qpos"]
 
     def estimate() -> np.ndarray:
-        return _each(estimate_velocity, qpos, timestep, cutoff, order, name, "data.clean.cutoff")
+        return _each(estimate_velocity, qpos, timestep, cutoff, order, piece.name, "data.clean.cutoff")
 
     estimates = None
     if "qvel" in piece.signals and cleaning.velocity == "auto":
         with contextlib.suppress(LogError, ConfigError):  # a recording without an estimate keeps the measured velocity
             estimates = estimate()
         joints = sorted({*range(qpos.shape[1])} - {*piece.without_velocity})
-        sentences, worse = compare_velocities(name, piece.time, qpos, piece.signals["qvel"], joints, estimates)
+        sentences, worse = compare_velocities(piece.name, piece.time, qpos, piece.signals["qvel"], joints, estimates)
         piece = replace(piece, without_velocity=tuple(sorted({*piece.without_velocity, *worse}))).say(*sentences)
     if not piece.without_velocity:
         return piece

@@ -17,34 +17,26 @@ Families = dict[tuple[int, str], list[str]]
 """Headers that differ only in the joint, by rank (lower is clearer) and by stem, the common part of the headers."""
 
 
-def find_columns(
-    table: Table, joints: Sequence[str], said: Collection[str]
-) -> tuple[dict[str, tuple[str, ...]], list[str]]:
-    """Find the headers of each signal, in the table's order, and a sentence on each; arguments as `propose`.
+def find_columns(table: Table, joints: Sequence[str], said: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """Find the headers of each signal, in the table's order; arguments as `propose`.
 
     Raises:
         LogError: As `propose`.
     """
-    columns, reasons = {}, []
+    columns: dict[str, tuple[str, ...]] = {}
     names = {header: name for header in table.columns if (name := find_name(header, tuple(joints)))}
     families = _families(table, names)
-    for signal in SIGNALS:
-        candidates = families.get(signal)
-        if candidates:
-            try:
-                headers = tuple(_choose(table, signal, candidates, names, joints))
-            except LogError:
-                if signal in said:
-                    continue
-                raise
-            if signal in BESIDE and len(headers) not in (1, len(joints) or len(columns.get("qpos", ()))):
+    for signal in (signal for signal in SIGNALS if families.get(signal)):
+        try:
+            headers = tuple(_choose(table, signal, families[signal], names, joints))
+        except LogError:
+            if signal in said:
                 continue
+            raise
+        if signal not in BESIDE or len(headers) in (1, len(joints) or len(columns.get("qpos", ()))):
             columns[signal] = headers
-            others = [other[0] for other in candidates.values() if not {*other} & {*headers}]
-            also = f"; also possible: {', '.join(others)}" if others else ""
-            reasons.append(f"{signal}: {', '.join(headers)}, by name{also}")
     time_header = table.times.get(columns.get("qpos", ("",))[0])
-    return ({**columns, "time": (time_header,)} if time_header else columns), reasons
+    return {**columns, "time": (time_header,)} if time_header else columns
 
 
 def _choose(

@@ -15,7 +15,7 @@ from frictionzoo.data.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.data.columns import list_names, to_recording
 from frictionzoo.data.formats import find_files, format_names, read_tables
 from frictionzoo.data.logs import InMemory, Logs
-from frictionzoo.data.pairing import arrange, has_names, reorder, say_order
+from frictionzoo.data.pairing import arrange, arrange_recording, has_names, reorder
 from frictionzoo.data.propose import Proposal, propose
 from frictionzoo.data.recording import SIGNALS, TURNED, Recording, Table
 from frictionzoo.data.select import Selection, choose_payloads
@@ -180,15 +180,10 @@ class Files(Source):
         return np.asarray(sign) * values
 
     def _arrange(self, recordings: Sequence[Recording]) -> list[Recording]:
-        arranged, lines = [], []
-        for recording in recordings:
-            pairings = arrange(recording.name, recording.columns, self.joints)
-            lines += say_order(recording.columns, pairings)
-            signals = {signal: recording.signals[signal][:, list(order)] for signal, (order, _) in pairings.items()}
-            arranged.append(replace(recording, signals=signals, columns=reorder(recording.columns, pairings)))
-        for line in dict.fromkeys(lines):
+        arranged = [arrange_recording(recording, self.joints) for recording in recordings]
+        for line in dict.fromkeys(line for _, lines in arranged for line in lines):
             _log.info("%s: %s", self.name, line)
-        return arranged
+        return [recording for recording, _ in arranged]
 
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
         proposal = propose(table, self.joints, self.columns)

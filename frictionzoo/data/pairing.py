@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
@@ -92,17 +93,26 @@ def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dic
 def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> list[str]:
     """Return sentences on signals that `arrange` orders the first time, unless headers simply name the joints."""
     new = {signal: pairing for signal, pairing in found.items() if not columns[signal].by and len(pairing.order) > 1}
-    by_place = [signal for signal, (_, by) in new.items() if by == "place"]
-    moved = [s for s, pairing in new.items() if columns[s].listed and _moves(columns[s], pairing)]
-    listed = [signal for signal, (_, by) in new.items() if by == "listed"]
-    lines = []
-    if by_place:
-        lines.append(f"columns of {', '.join(by_place)} have no joints' names; taken by position in the joints' order")
-    if listed:
-        lines.append(f"columns of {', '.join(listed)} do not name the joints; taken in the order of data.columns")
-    if moved:
-        lines.append(f"columns of {', '.join(moved)} name the joints; taken by name, not in the order of data.columns")
-    return lines
+    signals = {
+        "have no joints' names; taken by position in the joints' order": [s for s, p in new.items() if p.by == "place"],
+        "do not name the joints; taken in the order of data.columns": [s for s, p in new.items() if p.by == "listed"],
+        "name the joints; taken by name, not in the order of data.columns": [
+            s for s, p in new.items() if columns[s].listed and _moves(columns[s], p)
+        ],
+    }
+    return [f"columns of {', '.join(named)} {what}" for what, named in signals.items() if named]
+
+
+def arrange_recording(recording: Recording, joints: Sequence[str]) -> tuple[Recording, list[str]]:
+    """Return a recording with its columns in the order of the joints, and the sentences of `say_order`.
+
+    Raises:
+        LogError: As `arrange`.
+    """
+    pairings = arrange(recording.name, recording.columns, joints)
+    signals = {signal: recording.signals[signal][:, list(order)] for signal, (order, _) in pairings.items()}
+    ordered = replace(recording, signals=signals, columns=reorder(recording.columns, pairings))
+    return ordered, say_order(recording.columns, pairings)
 
 
 def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequence[str]) -> list[dict[str, Any]]:
@@ -270,20 +280,10 @@ def _join(parts: Sequence[str]) -> str:
 
 
 def _say_unpaired(headers: Sequence[str], joints: Sequence[str], named: Mapping[int, int]) -> str:
-    columns = {
-        joint: [headers[place] for place, matched in named.items() if matched == number]
-        for number, joint in enumerate(joints)
-    }
-    several = [f"{joint} <- {_list(matched)}" for joint, matched in columns.items() if len(matched) > 1]
-    lacking = [joint for joint, matched in columns.items() if not matched]
-    parts = [f"two or more columns for a joint ({'; '.join(several)})"] if several else []
-    if lacking:
-        pairs = ", ".join(f"{joint} <- {matched[0]}" for joint, matched in columns.items() if len(matched) == 1)
-        pairs = f" ({pairs})" if pairs else ""
-        parts.append(
-            f"columns for {len(joints) - len(lacking)} of {len(joints)} joints{pairs}, none for {_list(lacking)}"
-        )
-    return f"has {' and '.join(parts)}; expected one column for each joint"
+    found = [[headers[place] for place, joint in named.items() if joint == number] for number in range(len(joints))]
+    pairs = [f"{joint} <- {_list(columns) or 'none'}" for joint, columns in zip(joints, found, strict=True)]
+    count = sum(map(bool, found))
+    return f"has columns for {count} of {len(joints)} joints, {_list(pairs)}; expected one column for each joint"
 
 
 def _list(names: Sequence[str]) -> str:

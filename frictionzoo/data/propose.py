@@ -5,7 +5,6 @@ import re
 import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -36,13 +35,11 @@ class Proposal:
     Attributes:
         columns: Headers of each recognised signal.
         units: Unit of each signal outside SI.
-        reasons: Reasons for the proposal, a sentence each.
         certain: Whether all names are unambiguous and all signals seem to be in SI units.
     """
 
     columns: Mapping[str, tuple[str, ...]]
     units: Mapping[str, str] = field(default_factory=dict)
-    reasons: tuple[str, ...] = ()
     certain: bool = False
 
     def overrides(self) -> list[str]:
@@ -68,30 +65,30 @@ def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()
         if all(names[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
             columns = {signal: (header,) for signal, header in names.items() if header in table.columns}
             columns = {signal: headers for signal, headers in columns.items() if is_usable(table, signal, headers)}
-            units, reasons = _units(table, columns)
-            reason = f"{', '.join(h for (h,) in columns.values())}: by their names"
-            return Proposal(columns, units, (reason, *reasons), certain=not units)
-    columns, name_reasons = find_columns(table, joints, said)
-    units, reasons = _units(table, columns)
-    return Proposal(columns, units, (*name_reasons, *reasons))
+            units = _find_units(table, columns)
+            return Proposal(columns, units, certain=not units)
+    columns = find_columns(table, joints, said)
+    return Proposal(columns, _find_units(table, columns))
+
+
+Columns = Mapping[str, tuple[str, ...]]
+Units = dict[str, str]
 
 
 @np.errstate(all="ignore")  # raw numbers: overflow or infinity gives no guess
-def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, str], list[str]]:
+def _find_units(table: Table, columns: Columns) -> Units:
     """Find units from headers, or from numbers if headers state none."""
-    units, reasons = {}, []
+    units: Units = {}
     for signal, headers in columns.items():
         unit = _unit_of(signal, headers[0])
         if unit is not None and not table.units.get(headers[0]):
             units[signal] = unit
-            reasons.append(f"{signal} in {unit}: by its header {headers[0]}")
-    command = partial(_guess_followed, "qpos", "ctrl", ("rad", "deg"))
-    command_rate = partial(_guess_followed, "qvel", "ctrl_velocity", ("rad/s", "deg/s"))
-    for guess in (_guess_time, _guess_rate, _guess_turns, command, command_rate):
-        for signal, unit, reason in guess(table, columns, units):
-            units[signal] = unit
-            reasons.append(f"{signal} in {unit}: {reason}")
-    return {signal: unit for signal, unit in units.items() if _si(signal, unit) != 1}, reasons
+    units |= _guess_time(table, columns, units)
+    units |= _guess_rate(table, columns, units)
+    units |= _guess_turns(table, columns, units)
+    units |= _guess_followed("qpos", "ctrl", ("rad", "deg"), table, columns, units)
+    units |= _guess_followed("qvel", "ctrl_velocity", ("rad/s", "deg/s"), table, columns, units)
+    return {signal: unit for signal, unit in units.items() if _si(signal, unit) != 1}
 
 
 def _unit_of(signal: str, header: str) -> str | None:
@@ -107,77 +104,68 @@ def _unit_of(signal: str, header: str) -> str | None:
     return None
 
 
-Guess = list[tuple[str, str, str]]
-Columns = Mapping[str, tuple[str, ...]]
+def _is_stated(signal: str, table: Table, columns: Columns, units: Units) -> bool:
+    """Return whether the unit of a signal is known already, or there is no such signal."""
+    return signal not in columns or signal in units or columns[signal][0] in table.units
 
 
-def _guess_time(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    if "time" not in columns or "time" in units or columns["time"][0] in table.units:
-        return []
+def _guess_time(table: Table, columns: Columns, units: Units) -> Units:
+    if _is_stated("time", table, columns, units):
+        return {}
     steps = np.diff(table.columns[columns["time"][0]].astype(float))
     steps = steps[np.isfinite(steps) & (steps > 0)]
     if not len(steps):
-        return []
+        return {}
     step = float(np.median(steps))
-    unit = next((unit for limit, unit in STEPS if step < limit), STEPS[-1][1])
-    return [] if unit == "s" else [("time", unit, f"its step is {step:g}")]
+    return {"time": next((unit for limit, unit in STEPS if step < limit), STEPS[-1][1])}
 
 
-def _guess_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+def _guess_rate(table: Table, columns: Columns, units: Units) -> Units:
     """Guess the units of position and velocity from the ratio of the position's derivative to the velocity."""
     signals = _values(table, columns, ("time", "qpos", "qvel"))
     if signals is None or {"qpos", "qvel"} <= set(units) or columns["qpos"][0] in table.units:
-        return []
+        return {}
     time, position, velocity = signals
     seconds = time * _si("time", units.get("time") or table.units.get(columns["time"][0], "s"))
     advances = np.isfinite(seconds) & (np.diff(seconds, prepend=-math.inf) > 0)
     if advances.sum() < 3:
-        return []
+        return {}
     scale = _ratio(np.gradient(position[advances], seconds[advances]), velocity[advances])
     if scale is None:
-        return []
+        return {}
     distance, position_unit, velocity_unit = min(
         (abs(math.log(scale / (_si("qvel", velocity_unit) / _si("qpos", position_unit)))), position_unit, velocity_unit)
         for position_unit in ([units["qpos"]] if "qpos" in units else ["rad", "deg", "rev", "mm"])
         for velocity_unit in ([units["qvel"]] if "qvel" in units else ["rad/s", "deg/s", "rpm", "mm/s"])
     )
     alike = abs(math.log(scale)) < NEAR and not units.keys() & {"qpos", "qvel"}
-    if distance > NEAR or alike:
-        return []
-    reason = f"the derivative of {columns['qpos'][0]} is {scale:.3g} times {columns['qvel'][0]}"
-    pairs = (("qpos", position_unit), ("qvel", velocity_unit))
-    return [(signal, unit, reason) for signal, unit in pairs if signal not in units and _si(signal, unit) != 1]
+    found = {"qpos": position_unit, "qvel": velocity_unit}
+    return {} if distance > NEAR or alike else {s: u for s, u in found.items() if s not in units and _si(s, u) != 1}
 
 
-def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+def _guess_turns(table: Table, columns: Columns, units: Units) -> Units:
     """Guess degrees if the position in radians would be many turns."""
-    if "qpos" not in columns or "qpos" in units or columns["qpos"][0] in table.units:
-        return []
+    if _is_stated("qpos", table, columns, units):
+        return {}
     largest = float(np.nanmax(np.abs(table.columns[columns["qpos"][0]]), initial=0.0))
-    if not TURNS < largest < math.inf:
-        return []
-    rate = [("qvel", "deg/s", "like its position")] if "qvel" in columns and "qvel" not in units else []
-    return [("qpos", "deg", f"it reaches {largest:.4g}, nine turns in radians"), *rate]
+    rate = {"qvel": "deg/s"} if "qvel" in columns and "qvel" not in units else {}
+    return {"qpos": "deg", **rate} if TURNS < largest < math.inf else {}
 
 
 def _guess_followed(
-    signal: str, told: str, possible: tuple[str, ...], table: Table, columns: Columns, units: Mapping[str, str]
-) -> Guess:
+    signal: str, command: str, possible: tuple[str, ...], table: Table, columns: Columns, units: Units
+) -> Units:
     """Guess the unit of a command from the ratio of the signal that follows it."""
-    if told in units or columns.get(told, ("",))[0] in table.units:
-        return []
-    signals = _values(table, columns, (signal, told))
-    if signals is None:
-        return []
+    signals = _values(table, columns, (signal, command))
+    if signals is None or _is_stated(command, table, columns, units):
+        return {}
     measured_unit = units.get(signal) or table.units.get(columns[signal][0], possible[0])
     scale = _ratio(*signals, of_same=True)
     if scale is None:
-        return []
+        return {}
     distance, unit = min((abs(math.log(scale * _si(signal, measured_unit) / _si(signal, u))), u) for u in possible)
     # A position short of its command does not show another unit; a factor of 57 does.
-    if distance > 10 * NEAR or _si(signal, unit) == 1:
-        return []
-    return [(told, unit, f"{columns[signal][0]} follows it, {scale:.3g} times as large")]
+    return {} if distance > 10 * NEAR or _si(signal, unit) == 1 else {command: unit}
 
 
 def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Signal] | None:

@@ -1,11 +1,11 @@
 """Recordings before cleaning: the columns of a file, and signals in SI units."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Real
+from jaxtyping import Bool, Float, Real
 
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import Columns
@@ -60,8 +60,9 @@ class Recording:
         fields: Values for the whole recording.
         sha256: Hash of the bytes that were read.
         simulated: Whether a simulator made it; None: not stated.
-        notes: Changes made to bring the signals to common times, a sentence each.
+        notes: Changes so far, a sentence each: by bringing the signals to common times, and by cleaning.
         columns: Origin of the columns by signal.
+        without_velocity: Numbers of the joints whose qvel is estimated from qpos.
     """
 
     name: str
@@ -72,6 +73,15 @@ class Recording:
     simulated: bool | None = None
     notes: tuple[str, ...] = ()
     columns: Mapping[str, Columns] = field(default_factory=dict)
+    without_velocity: tuple[int, ...] = ()
+
+    def say(self, *sentences: str) -> "Recording":
+        """Return the recording with further notes."""
+        return replace(self, notes=self.notes + sentences)
+
+    def keep(self, kept: Bool[np.ndarray, "time"] | slice) -> "Recording":
+        """Return the recording with only the kept samples."""
+        return replace(self, time=self.time[kept], signals={name: v[kept] for name, v in self.signals.items()})
 
 
 def refuse_incomplete(recording: Recording) -> None:

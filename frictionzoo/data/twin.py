@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
@@ -27,6 +27,15 @@ Part = TypeVar("Part", bound=Any)  # any dataclass
 DIVERGED = 1e6  # implausible torque [N m]; above 1e10 MuJoCo would reset the state and continue
 SIGNALS = ("time", "qpos", "qvel", "ctrl")
 MOST_HARMONICS = 1000
+
+
+def refuse_low(section: str, part: Any, above_zero: Sequence[str] = (), from_zero: Sequence[str] = ()) -> None:
+    """Raise ConfigError for an attribute below its lower bound; the message names it within `data.SECTION`."""
+    for name in (*above_zero, *from_zero):
+        value, is_positive = getattr(part, name), name in above_zero
+        if not (value > 0 if is_positive else value >= 0):
+            expected = "a positive number" if is_positive else "0 or more"
+            raise ConfigError(f"data.{section}.{name}={value:g}: expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -54,9 +63,7 @@ class Excitation:
             if not low <= high:
                 setting = f"data.excitation.{name}=[{low:g}, {high:g}]"
                 raise ConfigError(f"{setting}: expected two numbers, the smaller first")
-        limit = self.velocity_limit
-        if not limit > 0:
-            raise ConfigError(f"data.excitation.velocity_limit={limit:g}: expected a positive speed in rad/s")
+        refuse_low("excitation", self, above_zero=("velocity_limit",))
 
     def command(self, time: Signal, rng: np.random.Generator) -> Signal:
         """Return the desired position [rad] at these times [s].
@@ -104,12 +111,7 @@ class HiddenDrive:
     command_delay: float
 
     def __post_init__(self) -> None:
-        for name in ("stribeck_velocity", "smoothing_velocity"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected a positive speed in rad/s")
-        for name in ("armature", "command_delay"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
+        refuse_low("drive", self, ("stribeck_velocity", "smoothing_velocity"), ("armature", "command_delay"))
 
     def friction(self, qpos: float, qvel: float, motor_torque: float) -> float:
         """Return friction torque [N m], positive at positive qvel [rad/s]; motor torque on the output side [N m]."""
@@ -143,9 +145,7 @@ class Sensor:
     velocity_noise: float
 
     def __post_init__(self) -> None:
-        for name in ("position_quantum", "velocity_noise"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"data.sensor.{name}={getattr(self, name):g}: expected 0 or more")
+        refuse_low("sensor", self, from_zero=("position_quantum", "velocity_noise"))
 
     def measure(self, qpos: States, qvel: States, rng: np.random.Generator) -> tuple[States, States]:
         """Return measured position [rad] and velocity [rad/s]."""
@@ -260,29 +260,31 @@ class Twin(Source):
         """
         model = self._spec().compile()
         data = mujoco.MjData(model)
-        data.qpos[0] = ctrl[0]
+        data.qpos[:] = ctrl[0]
         states = np.empty((self.samples, 2))
-        delay_steps = round(self.drive.command_delay / model.opt.timestep)
+        delay_steps = round(getattr(self.drive, "command_delay", 0.0) / model.opt.timestep)
         commands = ctrl.tolist()
         for sample in range(self.samples):
             states[sample] = data.qpos[0], data.qvel[0]
             for step in range(sample * self.substeps, (sample + 1) * self.substeps):
-                qpos, qvel = data.qpos.item(), data.qvel.item()
                 command = commands[max(step - delay_steps, 0) // self.substeps]
-                torque = self.controller.kp * (command - qpos) - self.controller.kd * qvel
-                torque -= self.drive.friction(qpos, qvel, torque)
-                self._refuse_divergence(torque, sample)
-                data.qfrc_applied[0] = torque
+                torques, largest = self._drive(data.qpos.tolist(), data.qvel.tolist(), command)
+                if not largest < DIVERGED:
+                    substep = self.timestep / self.substeps
+                    raise LogError(
+                        f"{self.name}: the simulation diverged at sample {sample}; expected a drive that is stable "
+                        f"with steps of {substep:g} s; raise data.substeps, or lower data.timestep or the gains in "
+                        "data.controller and data.drive"
+                    )
+                data.qfrc_applied[:] = torques
                 mujoco.mj_step(model, data)
         return states[:, :1], states[:, 1:]
 
-    def _refuse_divergence(self, torque: float, sample: int) -> None:
-        if not abs(torque) < DIVERGED:
-            raise LogError(
-                f"{self.name}: the simulation diverged at sample {sample}; expected a drive that is stable with steps "
-                f"of {self.timestep / self.substeps:g} s; raise data.substeps, or lower data.timestep or the gains in "
-                "data.controller and data.drive"
-            )
+    def _drive(self, qpos: list[float], qvel: list[float], command: float) -> tuple[list[float], float]:
+        """Return the torque on each joint, and the magnitude that shows divergence [N m]."""
+        motor_torque = self.controller.kp * (command - qpos[0]) - self.controller.kd * qvel[0]
+        torque = motor_torque - self.drive.friction(qpos[0], qvel[0], motor_torque)
+        return [torque], abs(torque)
 
     def _spec(self) -> mujoco.MjSpec:
         spec = mujoco.MjSpec.from_string(self.mjcf)

@@ -4,12 +4,9 @@ import math
 from dataclasses import dataclass
 
 import mujoco
-import numpy as np
 
-from frictionzoo.core.errors import ConfigError
-from frictionzoo.data.signals import Signal
 from frictionzoo.data.source import register_source
-from frictionzoo.data.twin import States, Twin
+from frictionzoo.data.twin import Twin, refuse_low
 
 LIGHT = 1e-3  # kg m^2; the divergence check of lighter rotors limits acceleration, at which MuJoCo resets the state
 
@@ -43,12 +40,8 @@ class HiddenCoupling:
     smoothing_velocity: float
 
     def __post_init__(self) -> None:
-        for name in ("rotor_inertia", "stiffness", "smoothing_velocity"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected a positive number")
-        for name in ("armature", "gap", "coupling_damping", "frictionloss", "damping"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
+        positive, others = ("rotor_inertia", "stiffness", "smoothing_velocity"), ("coupling_damping", "frictionloss")
+        refuse_low("drive", self, positive, ("armature", "gap", *others, "damping"))
 
     def coupling(self, ahead: float, faster: float) -> float:
         """Return the torque on the load [N m] from the rotor's lead [rad] and its relative velocity [rad/s]."""
@@ -74,25 +67,13 @@ class TwoInertia(Twin):
     hidden = HiddenCoupling
     drive: HiddenCoupling
 
-    def simulate(self, ctrl: Signal) -> tuple[States, States]:
-        """Simulate true position [rad] and velocity [rad/s] of the load, see `Twin.simulate`."""
-        model = self._spec().compile()
-        data = mujoco.MjData(model)
-        load, rotor = (model.joint(name).dofadr[0] for name in (model.joint(0).name, "rotor"))
-        data.qpos[:] = ctrl[0]
-        states = np.empty((self.samples, 2))
-        for sample, command in enumerate(ctrl.tolist()):
-            states[sample] = data.qpos[load], data.qvel[load]
-            for _ in range(self.substeps):
-                qpos, qvel = data.qpos.tolist(), data.qvel.tolist()
-                motor_torque = self.controller.kp * (command - qpos[load]) - self.controller.kd * qvel[load]
-                coupling_torque = self.drive.coupling(qpos[rotor] - qpos[load], qvel[rotor] - qvel[load])
-                rotor_torque = motor_torque - coupling_torque - self.drive.friction(qvel[rotor])
-                limiting_torque = abs(rotor_torque) * max(1.0, LIGHT / self.drive.rotor_inertia)
-                self._refuse_divergence(max(abs(coupling_torque), limiting_torque), sample)
-                data.qfrc_applied[load], data.qfrc_applied[rotor] = coupling_torque, rotor_torque
-                mujoco.mj_step(model, data)
-        return states[:, :1], states[:, 1:]
+    def _drive(self, qpos: list[float], qvel: list[float], command: float) -> tuple[list[float], float]:
+        """Return the torque on load and rotor, and the magnitude that shows divergence [N m]."""
+        motor_torque = self.controller.kp * (command - qpos[0]) - self.controller.kd * qvel[0]
+        coupling_torque = self.drive.coupling(qpos[1] - qpos[0], qvel[1] - qvel[0])
+        rotor_torque = motor_torque - coupling_torque - self.drive.friction(qvel[1])
+        limiting_torque = abs(rotor_torque) * max(1.0, LIGHT / self.drive.rotor_inertia)
+        return [coupling_torque, rotor_torque], max(abs(coupling_torque), limiting_torque)
 
     def _spec(self) -> mujoco.MjSpec:
         """Return the bench with an added balanced rotor, which gravity does not turn."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -47,44 +48,23 @@ def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Lo
     """Yield alternative readings: joint, sentence with the repair, change of the recording, and options (if any)."""
     for joint, name in enumerate(bench.joints):
         sign = np.where(np.arange(bench.nv) == joint, -1, 1)
-        listed = f"[{','.join(map(str, sign))}]"
-        yield (
-            joint,
-            f"{name} turns the other way: set data.sign.qpos, data.sign.qvel and data.sign.ctrl={listed}, or turn its "
-            "axis in the MJCF",
-            _turning(sign),
-            turn(joint, "qpos", "qvel", "ctrl"),
-        )
+        text = f"{name} turns the other way: set data.sign.qpos, data.sign.qvel and data.sign.ctrl="
+        text += f"[{','.join(map(str, sign))}], or turn its axis in the MJCF"
+        yield joint, text, partial(_turn, sign), turn(joint, "qpos", "qvel", "ctrl")
         for other in range(joint):
-            order = np.arange(bench.nv)
-            order[[joint, other]] = other, joint
-            pair = f"{bench.joints[other]} and {name}"
             if bench.branches[joint] == bench.branches[other]:
-                yield (
-                    joint,
-                    f"{pair} are swapped: exchange them in bench.joint or data.columns",
-                    _ordering(order, True),
-                    (),
-                )
-                yield (
-                    joint,
-                    f"ctrl of {pair} are swapped: exchange them in data.columns.ctrl",
-                    _ordering(order, False),
-                    (),
-                )
+                order = np.arange(bench.nv)
+                order[[joint, other]] = other, joint
+                pair = f"{bench.joints[other]} and {name} are swapped: exchange them in"
+                yield joint, f"{pair} bench.joint or data.columns", partial(_order, order, True), ()
+                yield joint, f"ctrl of {pair} data.columns.ctrl", partial(_order, order, False), ()
 
 
-def _turning(sign: np.ndarray) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        inputs = {name: sign * v if name in ("ctrl_velocity", "ctrl_torque") else v for name, v in log.inputs.items()}
-        return replace(log, qpos=sign * log.qpos, qvel=sign * log.qvel, ctrl=sign * log.ctrl, inputs=inputs)
-
-    return change
+def _turn(sign: np.ndarray, log: Log) -> Log:
+    inputs = {name: sign * v if name in ("ctrl_velocity", "ctrl_torque") else v for name, v in log.inputs.items()}
+    return replace(log, qpos=sign * log.qpos, qvel=sign * log.qvel, ctrl=sign * log.ctrl, inputs=inputs)
 
 
-def _ordering(order: np.ndarray, whole: bool) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        log = replace(log, ctrl=log.ctrl[:, order], inputs={name: v[:, order] for name, v in log.inputs.items()})
-        return replace(log, qpos=log.qpos[:, order], qvel=log.qvel[:, order]) if whole else log
-
-    return change
+def _order(order: np.ndarray, whole: bool, log: Log) -> Log:
+    log = replace(log, ctrl=log.ctrl[:, order], inputs={name: v[:, order] for name, v in log.inputs.items()})
+    return replace(log, qpos=log.qpos[:, order], qvel=log.qvel[:, order]) if whole else log

@@ -1,8 +1,8 @@
 """`inspect.json`: survey of the recordings of a data set; `inspect.schema.json` in this folder describes it."""
 
+import contextlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from importlib import resources
 from typing import Any
 
@@ -15,7 +15,7 @@ from frictionzoo.core.log import JITTER, Log, pool_origins
 from frictionzoo.core.output import to_json
 from frictionzoo.core.params import UNITS
 from frictionzoo.data.delay import estimate_delay
-from frictionzoo.data.pairing import arrange, describe_columns, has_names, label, reorder
+from frictionzoo.data.pairing import arrange_recording, describe_columns, has_names, label
 from frictionzoo.data.recording import Recording, refuse_incomplete
 from frictionzoo.data.signals import (
     GAP,
@@ -72,15 +72,9 @@ def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) ->
     headers = recordings[0].columns["qpos"].headers
     names = label(headers)
     expected = names if has_names(headers) else [f"number {name}" for name in names]
-    ordered = []
-    for entry in recordings:
-        try:
-            matches = arrange(entry.name, entry.columns, expected if count > 1 else ())
-        except LogError:  # columns with other names cannot be matched: keep their order
-            return list(recordings), list(names)
-        signals = {signal: entry.signals[signal][:, list(order)] for signal, (order, _) in matches.items()}
-        ordered.append(replace(entry, signals=signals, columns=reorder(entry.columns, matches)))
-    return ordered, list(names)
+    with contextlib.suppress(LogError):  # columns with other names cannot be matched: keep their order
+        recordings = [arrange_recording(recording, expected if count > 1 else ())[0] for recording in recordings]
+    return list(recordings), list(names)
 
 
 def survey_recordings(
