@@ -57,9 +57,6 @@ class Finding:
         return self.state == "bad"
 
 
-Check = Finding
-
-
 def of_joint(joints: Sequence[str], joint: int) -> str:
     """Return ` of NAME` for messages; empty on a bench with one joint."""
     return f" of {joints[joint]}" if len(joints) > 1 else ""

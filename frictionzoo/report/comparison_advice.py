@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.telling import say_percent
-from frictionzoo.diagnostics.findings import Check
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.run_page import list_uses
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
@@ -24,20 +24,20 @@ class Step(NamedTuple):
     command: str
 
 
-def check_order(comparison: Comparison) -> Check:
+def check_order(comparison: Comparison) -> Finding:
     """Check whether the best run is better than the others by more than noise."""
     best, *others = (entry["label"] for entry in comparison["runs"])
     if comparison["recommendation"] is None:
-        return Check("bad", "Ranking", "No ranking: every test rollout of every run diverged.")
+        return Finding("bad", "Ranking", "No ranking: every test rollout of every run diverged.")
     if not others:
-        return Check("note", "Ranking", "Only one run: nothing to compare.")
+        return Finding("note", "Ranking", "Only one run: nothing to compare.")
     pairs = _pairs_with_best(comparison)
     close = [label for label in others if pairs[label]["verdict"] == "noise"]
     if close:
         text = f"Within noise of the best run, {best}: {name_some(close)}. These data show no relevant difference"
-        return Check("note", "Ranking", f"{text}; the simplest run is recommended.")
+        return Finding("note", "Ranking", f"{text}; the simplest run is recommended.")
     text = f"{best} is better than every other run by more than noise. {_say_next(comparison)}"
-    return Check("good", "Ranking", text)
+    return Finding("good", "Ranking", text)
 
 
 def _pairs_with_best(comparison: Comparison) -> dict[str, PairRow]:

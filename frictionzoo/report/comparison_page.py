@@ -12,7 +12,7 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.output import RESULT, write_atomically
-from frictionzoo.diagnostics.findings import Check
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.colors import DARK
 from frictionzoo.report.comparison_advice import check_order, list_next_steps, list_steps_to_use
 from frictionzoo.report.comparison_plots import Look, choose_looks, plot_comparison
@@ -159,7 +159,7 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
     }
 
 
-def _doubt(run: Run) -> list[Check]:
+def _doubt(run: Run) -> list[Finding]:
     return [check for check in check_result(run.result) if check.doubtful]
 
 
@@ -203,44 +203,44 @@ def _list_files(folder: Path) -> dict[str, str]:
     return files | {f"figures/{drawing.name}": "for print" for drawing in drawings}
 
 
-def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Check]:
+def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield the checks of a comparison, certainty of the ranking first; `runs` are ordered best first."""
     yield check_order(comparison)
     if failed := len(comparison["failures"]):
         text = f"{failed} of {failed + len(comparison['runs'])} jobs failed; the reasons are under Ranking."
-        yield Check("bad", "Failed jobs", text)
+        yield Finding("bad", "Failed jobs", text)
     yield _check_rollouts(comparison["evaluation"])
     yield check_held_out(comparison["data"])
     yield _check_divergence(comparison)
     yield _check_bounds(comparison["runs"])
     if doubt := comparison["reference_doubt"]:
-        yield Check("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
+        yield Finding("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
     yield _check_fits(runs)
     yield _check_differences(comparison["differences"])
     yield check_origin(comparison["data"])
 
 
-def _check_rollouts(evaluation: RolloutsRow) -> Check:
+def _check_rollouts(evaluation: RolloutsRow) -> Finding:
     text = f"All runs were evaluated on the same {evaluation['rollouts']} test rollouts of {evaluation['horizon']:g} s"
     if evaluation["rollouts"] < FEW:
-        return Check("caution", "Few rollouts", f"{text}: too few for a reliable ranking. Raise evaluation.rollouts.")
-    return Check("good", "Same rollouts", f"{text}.")
+        return Finding("caution", "Few rollouts", f"{text}: too few for a reliable ranking. Raise evaluation.rollouts.")
+    return Finding("good", "Same rollouts", f"{text}.")
 
 
-def _check_divergence(comparison: Comparison) -> Check:
+def _check_divergence(comparison: Comparison) -> Finding:
     diverged = {}
     for entry in comparison["runs"]:
         counts = [f"{entry[part]['diverged']} of {entry[part]['rollouts']} on {part}" for part in ("test", "train")]
         if entry["test"]["diverged"] or entry["train"]["diverged"]:
             diverged[entry["label"]] = f"{entry['label']} ({', '.join(counts)})"
     if not diverged:
-        return Check("good", "Stability", "All training and test rollouts of all runs stayed finite.")
+        return Finding("good", "Stability", "All training and test rollouts of all runs stayed finite.")
     chosen = (comparison["recommendation"] or {}).get("run")
     text = f"Diverged rollouts, excluded from the errors: {name_some([*diverged.values()])}."
-    return Check("bad" if chosen is None or chosen in diverged else "caution", "Stability", text)
+    return Finding("bad" if chosen is None or chosen in diverged else "caution", "Stability", text)
 
 
-def _check_bounds(entries: Sequence[RunRow]) -> Check:
+def _check_bounds(entries: Sequence[RunRow]) -> Finding:
     ended = [
         f"{entry['label']} ({', '.join(names)})"
         for entry in entries
@@ -248,25 +248,25 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
     ]
     if ended:
         text = f"Parameters ended at a bound: {name_some(ended)}. Widen the bounds or try another model."
-        return Check("caution", "Bounds", text)
-    return Check("good", "Bounds", "No identified parameter of any run ended at a bound.")
+        return Finding("caution", "Bounds", text)
+    return Finding("good", "Bounds", "No identified parameter of any run ended at a bound.")
 
 
-def _check_fits(runs: Sequence[Run]) -> Check:
+def _check_fits(runs: Sequence[Run]) -> Finding:
     doubtful = [run.label for run in runs if any(check.title == "Fit" for check in _doubt(run))]
     if doubtful:
         text = f"Fits that may not have reached their optimum: {name_some(doubtful)}. Select a run for details."
-        return Check("caution", "Fits", text)
-    return Check("good", "Fits", "No problems found in the fits.")
+        return Finding("caution", "Fits", text)
+    return Finding("good", "Fits", "No problems found in the fits.")
 
 
-def _check_differences(differences: Sequence[DifferenceRow]) -> Check:
+def _check_differences(differences: Sequence[DifferenceRow]) -> Finding:
     options = [difference["option"] for difference in differences]
     sections = list(dict.fromkeys(option.partition(".")[0] for option in options))
     unlike = [section for section in sections if section in FITTED]
     if unlike:
         text = f"Apart from the model, runs differ in options of {name_some(unlike)}, listed on this page"
-        return Check("caution", "Different fit options", f"{text}. These may explain part of the differences.")
+        return Finding("caution", "Different fit options", f"{text}. These may explain part of the differences.")
     if options:
-        return Check("note", "Same fit options", f"Apart from the model, runs differ only in {name_some(options)}.")
-    return Check("good", "Same fit options", "Runs differ only in the model.")
+        return Finding("note", "Same fit options", f"Apart from the model, runs differ only in {name_some(options)}.")
+    return Finding("good", "Same fit options", "Runs differ only in the model.")

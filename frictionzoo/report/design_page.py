@@ -12,7 +12,7 @@ from frictionzoo.bench.limits import Motion
 from frictionzoo.core.anonymous import list_paths, list_paths_in, without_paths
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.telling import say_percent
-from frictionzoo.diagnostics.findings import Check
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.colors import BASELINE, BEST, MODEL
 from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe, frame
 from frictionzoo.report.page import render_page
@@ -79,7 +79,7 @@ def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Mot
     write_atomically(path, page)
 
 
-def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
+def check_command(note: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield the checks of the command; `note` is the content of `excitation.json`."""
     unknown = [row["name"] for row in note["parameters"] if not row["identifiable"]]
     used = max(note["limits"], key=lambda row: row["share"])
@@ -89,16 +89,16 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
         text = (
             f"Not identifiable by this command: {', '.join(unknown)}. Most is taken of {largest}. State such a value as"
         )
-        yield Check("caution", "Parameters", f"{text} known, take a law without it, or allow and record more.")
+        yield Finding("caution", "Parameters", f"{text} known, take a law without it, or allow and record more.")
     else:
-        yield Check("good", "Parameters", f"Each of the {len(note['parameters'])} parameters will be known.")
+        yield Finding("good", "Parameters", f"Each of the {len(note['parameters'])} parameters will be known.")
     rows = [row for row in note["parameters"] if None not in (row["share"], row["share_now"])]
     if no_gain := [row["name"] for row in rows if row["share_now"] <= row["share"]]:
         text = f"The run knows {', '.join(no_gain)} as well already: design a longer command (seconds), with longer"
-        yield Check(
+        yield Finding(
             "caution", "Gain", f"{text} segments (segments.length), or in wider limits; or fit both recordings."
         )
-    yield Check("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {largest}.")
+    yield Finding("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {largest}.")
     noise, units = note["noise"], {row["quantity"]: row["unit"] for row in note["limits"]}
     text = (
         f"Noise alone is foreseen: an encoder step of {noise['quantum']:.3g} {units['position']}, position noise of "
@@ -106,10 +106,10 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
         f"{units['velocity']}. Half the noise, half the interval. What the law lacks, and a delay or a mass that is "
         "wrong, are not foreseen."
     )
-    yield Check("note", "Noise", text)
+    yield Finding("note", "Noise", text)
     source = f"those of the run {note['run']}" if note["run"] else "initial values, not of a fit"
     text = f"The values of the drive are {source}: a design is as good as they are. Fit, and design again."
-    yield Check("note", "Values", text)
+    yield Finding("note", "Values", text)
 
 
 def _say_headline(note: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from frictionzoo.core.output import write_atomically
 from frictionzoo.data.recording import Recording
 from frictionzoo.data.signals import derive_velocity, find_spikes, regular_stretch, repair_spikes
-from frictionzoo.diagnostics.findings import Check
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.survey import pool_velocities, rank_by_faults
 from frictionzoo.report.colors import BASELINE, BEST, MODEL
 from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe
@@ -39,7 +39,7 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
     page = render_page(
         "report/inspect.html.jinja",
         sections,
-        [Check(**finding) for finding in survey["findings"]],
+        [Finding(**finding) for finding in survey["findings"]],
         survey=survey,
         quantities=list(list_quantities(survey)),
         rows=ranked[:LISTED],

@@ -12,7 +12,7 @@ import numpy as np
 
 from frictionzoo.core.telling import say_percent
 from frictionzoo.core.templates import open_template
-from frictionzoo.diagnostics.findings import Check
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report import with_plotly
 from frictionzoo.report.colors import DARK
 from frictionzoo.report.figure import Figure
@@ -24,7 +24,7 @@ from frictionzoo.result.types import ParameterRow, ValueRow
 def render_page(
     template: str,
     sections: Mapping[str, Sequence[Figure]],
-    checks: Sequence[Check],
+    checks: Sequence[Finding],
     points: int = with_plotly.POINTS,
     state: Mapping[str, Any] | None = None,
     **content: Any,

@@ -11,7 +11,7 @@ import numpy as np
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.jobs import read_begun
 from frictionzoo.core.output import write_atomically
-from frictionzoo.diagnostics.findings import Check
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.page import pack_library, render_page
 from frictionzoo.report.rollouts import say_where
 from frictionzoo.report.run_plots import choose_rollouts, plot_run
@@ -208,86 +208,86 @@ def correlate(result: Result, joint: str) -> dict[str, Any] | None:
     return {"names": names, "rows": rows.tolist(), "strongest": ", ".join(strongest)}
 
 
-def check_result(result: Result) -> Iterator[Check]:
+def check_result(result: Result) -> Iterator[Finding]:
     """Yield the checks of a result: findings first, worst first, then passed checks."""
     doubts = judge(result)["findings"]
     for doubt in doubts:
         text = say_finding(doubt)
-        yield Check("bad" if doubt["severe"] else "caution", TITLES[doubt["kind"]], f"{_capitalise(text)}.")
+        yield Finding("bad" if doubt["severe"] else "caution", TITLES[doubt["kind"]], f"{_capitalise(text)}.")
     kinds = {doubt["kind"] for doubt in doubts}
     for kind, check in _list_checks(result):
         if kind not in kinds:
             yield check
 
 
-def _list_checks(result: Result) -> Iterator[tuple[str, Check]]:
+def _list_checks(result: Result) -> Iterator[tuple[str, Finding]]:
     """Yield kind and check of passed checks; the caller drops kinds that have a finding."""
     yield "gain", _check_gain(result)
     if len(result["joints"]) > 1 and result["model"] != "baseline":
         text = f"In each of the {len(result['joints'])} joints, the test error is smaller than without friction."
-        yield "joints", Check("good", TITLES["joints"], text)
+        yield "joints", Finding("good", TITLES["joints"], text)
     yield "held out", check_held_out(result["data"])
     yield "train", _check_train(result["metrics"])
     yield "fit", _check_fit(result["fit"])
     identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
     text = f"No parameter ended at a bound ({len(identified)} identified)."
-    yield "bounds", Check("good", TITLES["bounds"], text)
+    yield "bounds", Finding("good", TITLES["bounds"], text)
     if result["no_intervals"] is not None:
         text = f"No parameter has an interval: {result['no_intervals']}."
-        yield "identifiability", Check("note", TITLES["identifiability"], text)
+        yield "identifiability", Finding("note", TITLES["identifiability"], text)
     else:
         text = f"The data determine every identified parameter ({len(identified)})."
-        yield "identifiability", Check("good", TITLES["identifiability"], text)
+        yield "identifiability", Finding("good", TITLES["identifiability"], text)
     total = sum(metrics["rollouts"] for _, metrics in list_rollouts(result))
     text = f"All {total} rollouts stayed finite."
-    yield "stability", Check("good", TITLES["stability"], text)
+    yield "stability", Finding("good", TITLES["stability"], text)
     yield "residual", _check_residual(result)
     yield "origin", check_origin(result["data"])
 
 
-def _check_gain(result: Result) -> Check:
+def _check_gain(result: Result) -> Finding:
     test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if result["model"] == "baseline":
-        return Check("note", TITLES["gain"], "This model has no friction: it is compared with itself.")
+        return Finding("note", TITLES["gain"], "This model has no friction: it is compared with itself.")
     if test is None or not baseline:
-        return Check("note", TITLES["gain"], "The drive without friction has no test error to compare with.")
+        return Finding("note", TITLES["gain"], "The drive without friction has no test error to compare with.")
     text = f"The test error is {baseline / test:.3g} times smaller than without friction"
     if doubt_reference(result["reference"]):
-        return Check("note", TITLES["gain"], f"{text}; this comparison is unreliable, see the reference.")
-    return Check("good", TITLES["gain"], f"{text}.")
+        return Finding("note", TITLES["gain"], f"{text}; this comparison is unreliable, see the reference.")
+    return Finding("good", TITLES["gain"], f"{text}.")
 
 
-def _check_residual(result: Result) -> Check:
+def _check_residual(result: Result) -> Finding:
     residual = result["residual"]
     rows = residual["by_joint"] if residual else []
     if not rows:
         text = "The recordings are too short, or the joints move too little, to test whether the residual is noise."
-        return Check("note", TITLES["residual"], text)
+        return Finding("note", TITLES["residual"], text)
     row = max(rows, key=lambda row: row["residual"] / row["friction"])
     share = format_share(row["residual"], row["friction"])
     joint = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
     text = f"The residual torque, {share} of the friction{joint}, is as large as noise from encoders and filters"
-    return Check("good", TITLES["residual"], f"{text}; no tested factor explains more of it.")
+    return Finding("good", TITLES["residual"], f"{text}; no tested factor explains more of it.")
 
 
-def check_held_out(data: DataRow) -> Check:
+def check_held_out(data: DataRow) -> Finding:
     """Check how much held-out data was tested; `data` as in `result.json`."""
     logs = [[log for log in data["logs"] if log["part"] == part] for part in ("train", "test")]
     fitted, tested = (data["timestep"] * sum(log["samples"] for log in part) for part in logs)
     shared = {log["sha256"] for log in logs[0]} & {log["sha256"] for log in logs[1]}
     source = "from another part of the same recording" if shared else "from other recordings"
     text = f"Fitted to {fitted:.3g} s of data and tested on {tested:.3g} s {source}."
-    return Check("good", "Held-out data", text)
+    return Finding("good", "Held-out data", text)
 
 
-def _check_train(metrics: PartsRow) -> Check:
+def _check_train(metrics: PartsRow) -> Finding:
     train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
     ratio = f"{test / train:.2g}" if test is not None and train else "none"
     text = f"The test error, {format_number(test)} {metrics['test']['unit']}, is {ratio} times the training error"
-    return Check("good", TITLES["train"], f"{text}: no sign of overfitting.")
+    return Finding("good", TITLES["train"], f"{text}: no sign of overfitting.")
 
 
-def _check_fit(fit: FitRow) -> Check:
+def _check_fit(fit: FitRow) -> Finding:
     method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
     iterations = f"{count} iteration{'s' * (count != 1)}"
     reported = f"iteration {fit['best_iteration']}, with the lowest training loss, is reported"
@@ -299,7 +299,7 @@ def _check_fit(fit: FitRow) -> Check:
     }
     outcome = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
     state, text = checks.get(outcome, ("good", f"{method} completed {iterations}; {reported}."))
-    return Check(state, TITLES["fit"], text)
+    return Finding(state, TITLES["fit"], text)
 
 
 def _capitalise(text: str) -> str:
@@ -308,14 +308,14 @@ def _capitalise(text: str) -> str:
     return text if set("._/") & set(word) else text[0].upper() + text[1:]
 
 
-def check_origin(data: DataRow) -> Check:
+def check_origin(data: DataRow) -> Finding:
     """Check whether the data come from hardware; `data` as in `result.json`."""
     if data["origin"] == "simulated":
         text = "A simulator made the data: the results show how well the model imitates it, and nothing about hardware."
-        return Check("note", "Simulated data", text)
+        return Finding("note", "Simulated data", text)
     if data["origin"] == "hardware":
-        return Check("good", "Hardware data", "Recorded on hardware, according to data.origin.")
-    return Check("note", "Origin", "Your recordings. data.origin does not state whether they come from hardware.")
+        return Finding("good", "Hardware data", "Recorded on hardware, according to data.origin.")
+    return Finding("note", "Origin", "Your recordings. data.origin does not state whether they come from hardware.")
 
 
 def _say_headline(result: Result) -> str:
