@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.diagnostics import survey
-from frictionzoo.report.card import record as card
 from frictionzoo.result import record as result
 from frictionzoo.result.comparison import record as comparison
 
@@ -14,7 +13,6 @@ DOCS = Path(__file__).parent
 SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
     "result": result.read_schema,
     "comparison": comparison.read_schema,
-    "card": card.read_schema,
     "inspect": survey.read_schema,
 }
 HEAD = """# `{name}.json`

@@ -11,11 +11,10 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
-from frictionzoo.report.card.types import Card
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.types import Result
 
-TYPES = {"result": Result, "comparison": Comparison, "card": Card}  # NAME.schema.json is next to the type's file
+TYPES = {"result": Result, "comparison": Comparison}  # NAME.schema.json is next to the type's file
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", NoneType: "null"}
 
 

@@ -16,7 +16,7 @@ from reproduce import EXPERIMENTS, read_expected
 from frictionzoo.bench.read_bam import BamDrive, read_bam
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.errors import ConfigError, FrictionzooError, RunError, closest
-from frictionzoo.report.card.write import write_card
+from frictionzoo.report.card import write_card
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import read_runs
 

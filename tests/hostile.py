@@ -30,6 +30,7 @@ from frictionzoo.cli import run
 from frictionzoo.cli.finished import compare, distill, export
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.manifest import MANIFEST, Manifest, State
+from frictionzoo.result.card import hash_record
 
 MARK = "stranger_was_here"
 PROCESSES = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "pty.", "os.startfile")
@@ -201,7 +202,6 @@ def change_bytes(folder: Path, rng: random.Random) -> None:
         flipped[rng.randrange(len(content))] = rng.randrange(256)
     bombs = pickle.dumps(Bomb()), saved.getvalue(), (2**62).to_bytes(8, "little") + b"{}", PYTHON.encode()
     path.write_bytes(rng.choice((content[: rng.randrange(len(content) + 1)], flipped, *bombs)))
-    _hash_again(folder, rng)
 
 
 def change_arrays(folder: Path, rng: random.Random) -> None:
@@ -222,17 +222,19 @@ def change_arrays(folder: Path, rng: random.Random) -> None:
         new = rng.choice((np.zeros(0), np.zeros((2, 2)), np.zeros((1, 0, 3)), *changed))
         arrays[name if rng.random() < 0.8 else f"{name}\x1b[31m"] = new
     path.write_bytes(safetensors.numpy.save({name: np.ascontiguousarray(values) for name, values in arrays.items()}))
-    return _hash_again(folder, rng)
 
 
 def _hash_again(folder: Path, rng: random.Random) -> None:
     """Most often, have a card's record agree with its files."""
-    path = folder / "card.json"
-    with contextlib.suppress(ValueError, KeyError, TypeError, OSError):
+    path = folder / "result.json"
+    with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OSError):
         content = json.loads(path.read_text())
-        hashes = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in content["files"]}
         if rng.random() < 0.8:
-            path.write_text(json.dumps(content | {"files": hashes}))
+            hashes = {
+                name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in content["card"]["files"]
+            }
+            content["card"]["files"] = hashes | {path.name: hash_record(content)}
+            path.write_text(json.dumps(content))
 
 
 def change_links(folder: Path, rng: random.Random) -> None:
@@ -303,6 +305,7 @@ def mutate(folder: Path, rng: random.Random) -> list[str]:
     for change in sorted(mutations, key=lambda each: each is change_links):
         with contextlib.suppress(Exception):
             change(folder, rng)  # a second one may not know what the first has left
+    _hash_again(folder, rng)
     if rng.random() < 0.9:
         sign(folder)
     return [change.__name__ for change in mutations]

@@ -14,7 +14,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 import yaml
@@ -24,14 +23,15 @@ from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
 from frictionzoo.cli.finished import card as main
+from frictionzoo.cli.finished import compare
 from frictionzoo.core.anonymous import find_paths, list_paths, without_paths
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError
 from frictionzoo.core.manifest import MANIFEST
-from frictionzoo.report.card.portable import TEMPLATE, build_parts, describe_bench, place_settings, write_template
-from frictionzoo.report.card.record import CARD, MODEL, PAGE, PICTURE, read_schema
-from frictionzoo.report.card.write import FILES, write_card
-from frictionzoo.result.fitted_drive import FittedDrive
+from frictionzoo.core.output import RESULT, TEMPLATE
+from frictionzoo.report.card import FILES, PAGE, PICTURE, describe_bench, write_card, write_template
+from frictionzoo.result.card import hash_record
+from frictionzoo.result.read_back import LAW, build_drive
 
 EXACT = 1e-9  # rad, rad/s
 LICENCE = {"licence": "cc-by-4.0"}
@@ -57,23 +57,28 @@ def own(card: Path, tmp_path: Path) -> Path:
     return shutil.copytree(card, tmp_path / "elsewhere" / "card")
 
 
-def test_it_says_what_the_run_found(card: Path, run: Path) -> None:
+def read(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / RESULT).read_text())
+
+
+def test_it_is_the_run_without_its_recordings(card: Path, run: Path) -> None:
     files = {path.name for path in card.iterdir()}
     assert files == {PAGE, MANIFEST, *FILES} - {"identified.urdf", "bench.xml"}
-    record, result = json.loads((card / CARD).read_text()), json.loads((run / "result.json").read_text())
-    jsonschema.Draft202012Validator(read_schema()).validate(record)
-    assert record["result"]["parameters"] == result["parameters"]
-    assert record["result"]["metrics"] == result["metrics"]
-    assert {log["sha256"] for log in record["result"]["data"]["logs"]} == {
-        log["sha256"] for log in result["data"]["logs"]
-    }
-    assert {*record["files"]} == files - {PAGE, CARD, MANIFEST}
-    (visited,), drive = record["conditions"]["visited"], fz.load(run)
+    record, result, drive = read(card), read(run), fz.load(run)
+    for key in ("parameters", "metrics", "covariance", "versions", "evaluation"):
+        assert record[key] == result[key], key
+    assert [log["sha256"] for log in record["data"]["logs"]] == [log["sha256"] for log in result["data"]["logs"]]
+    assert record["card"]["origin"] is None and {*record["card"]["files"]} == files - {PAGE, MANIFEST}
+    (visited,) = record["card"]["conditions"]["visited"]
     assert visited["position"] == [drive.segments.qpos.min(), drive.segments.qpos.max()]
     assert visited["speed"] == np.abs(drive.segments.qvel).max()
     assert visited["torque"] == np.abs(drive.samples.motor_torque).max()
-    assert (card / "identified.xml").read_bytes() == (run / "identified.xml").read_bytes()
+    for name in ("identified.xml", LAW):
+        assert (card / name).read_bytes() == (run / name).read_bytes()
     assert (card / PICTURE).read_bytes().startswith(b"\x89PNG")
+    curves = fz.load(card).curves
+    np.testing.assert_array_equal(curves.friction, drive.curves.friction)
+    assert not any(len(array) for array in (curves.measured_qpos, curves.signals.ctrl, curves.left, curves.train_mae))
 
 
 def test_its_page_has_what_hubs_read_and_every_value(card: Path, run: Path) -> None:
@@ -83,45 +88,32 @@ def test_its_page_has_what_hubs_read_and_every_value(card: Path, run: Path) -> N
         "library_name": "frictionzoo",
         "tags": ["robotics", "friction", "system-identification", "mujoco", "coulomb_stribeck"],
     }
-    result = json.loads((run / "result.json").read_text())
+    result = read(run)
     for row in result["parameters"]:
         (line,) = re.findall(rf"^\| {row['owner']}\.{row['name']} .*$", page, re.M)
         assert f"| {row['value']:.4g} |" in line and f"| {row['unit']} |" in line
         assert not row["interval"] or f"{row['interval'][0]:.4g} to {row['interval'][1]:.4g}" in line
     for part in ("test", "baseline"):
         assert f"| {result['metrics'][part]['position_mae']:.4g} |" in page
-    for log in result["data"]["logs"]:
-        assert f"`{log['sha256']}`" in page
+    assert all(f"`{log['sha256']}`" in page for log in result["data"]["logs"])
     assert "torque = (f_k + (f_s - f_k) exp(-(v / v_s)^2)) tanh(v / v_0) + d v" in page
     assert page.startswith("\n# A \\<knee\\> \\| with a\\_rod\n")
     assert "- supply: 7.4 V\n" in page and "- payload: not stated\n" in page
-    assert f"![Friction torque over velocity]({PICTURE})" in page
+    assert "identified by frictionzoo" in page and f"![Friction torque over velocity]({PICTURE})" in page
     assert re.search(r"^frictionzoo model=coulomb_stribeck fit=lm .*'?data\.train=\[knee\.csv\]'? ", page, re.M)
 
 
-def test_a_run_without_a_portrait_is_refused(finished_run: Callable, tmp_path: Path, monkeypatch: Any) -> None:
-    drive = fz.load(finished_run("mujoco_default")[0])
-    older = replace(drive, curves=replace(drive.curves, portraits={}))
-    monkeypatch.setattr(FittedDrive, "load", lambda folder: older)
-    with pytest.raises(RunError, match="no friction curve, expected one"):
-        write_card(tmp_path, {**LICENCE, "output": str(tmp_path / "card")})
-    assert not (tmp_path / "card").exists()
-
-
-def test_it_names_no_path_of_the_machine(card: Path, run: Path, recording: Path) -> None:
-    for path in card.iterdir():
+def test_it_names_no_path_of_the_machine(
+    card: Path, run: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(run.parent)
+    relative, _ = write_card(Path(run.name), LICENCE | STATED | {"output": str(tmp_path / "card")})
+    assert (relative / PAGE).read_text() == (card / PAGE).read_text()
+    for path in [*card.iterdir(), *relative.iterdir()]:
         if path.suffix in (".json", ".md", ".xml", ".safetensors"):
             text = path.read_bytes().decode(errors="replace")
             assert not [part for part in recording.parts[1:-1] if f"{part}/" in text or f"/{part}" in text], path
             assert str(run) not in text and str(Path.home()) + "/" not in text, path
-
-
-def test_a_run_may_be_named_from_where_one_is(
-    card: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(run.parent)
-    written, _ = write_card(Path(run.name), LICENCE | STATED | {"output": str(tmp_path / "card")})
-    assert (written / PAGE).read_text() == (card / PAGE).read_text()
 
 
 PATHS = {
@@ -175,7 +167,7 @@ def test_it_moves_as_the_run_did_wherever_it_lies(finished_run: Callable, tmp_pa
     moved = fz.load(tmp_path / "empty" / "there")
     for own, expected in zip(moved.rollout(run.segments), run.rollout(), strict=True):
         np.testing.assert_allclose(own, expected, rtol=0, atol=EXACT)
-    assert moved.timestep == run.timestep and moved.result["metrics"] == run.result["metrics"]
+    assert moved.timestep == run.timestep
     for full, parameter in run.parameters.items():
         np.testing.assert_array_equal(moved.parameters[full].value, parameter.value)
 
@@ -195,11 +187,20 @@ def test_the_page_s_code_does_what_it_says(
 def test_what_needs_recordings_says_that_a_card_has_none(card: Path, tmp_path: Path) -> None:
     drive = fz.load(card)
     assert drive.at(drive.timestep / 2).timestep == drive.timestep / 2
-    export = partial(drive.export, "mjcf", tmp_path / "export")
-    for what in (drive.rollout, drive.plot, drive.band, export, partial(drive.save, tmp_path / "run")):
-        with pytest.raises(RunError, match=r"a card without recordings, expected segments or a run's folder"):
-            what()
+    export, save = partial(drive.export, "mjcf", tmp_path / "export"), partial(drive.save, tmp_path / "run")
+    again = partial(write_card, card, LICENCE | {"output": str(tmp_path / "card")})
+    for use in (drive.rollout, drive.plot, drive.band, export, save, again, partial(fz.Compared.of, [drive])):
+        with pytest.raises(RunError, match="a card without recordings"):
+            use()
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_comparison_of_a_sweep_leaves_cards_out(run: Path, card: Path, tmp_path: Path) -> None:
+    shutil.copytree(run, tmp_path / "sweep" / "0")
+    shutil.copytree(card, tmp_path / "sweep" / "0" / "card")
+    done = finish(lambda: compare([str(tmp_path / "sweep"), "--output", str(tmp_path / "comparison")]))
+    assert done.status == 0 and "1 run" in done.out, done.err
+    assert finish(lambda: compare([str(card), "--output", str(tmp_path / "of card")])).status == 2
 
 
 def test_a_robot_needs_its_own_file_no_more(tmp_path: Path) -> None:
@@ -210,11 +211,10 @@ def test_a_robot_needs_its_own_file_no_more(tmp_path: Path) -> None:
     (folder / TEMPLATE).write_text(write_template(fitted.bench))
     section = {name: part for name, part in describe(fitted.model).items() if name != "nv"}
     bench = describe_bench(fitted.bench, {"solreffriction": [0.02, 1.0], "tie": tie, "base": "fixed"})
+    bench = json.loads(json.dumps(bench)) | {"mjcf": str(folder / TEMPLATE)}
     expected = fitted.rollout()
     source.unlink()
-    remade, model = build_parts(
-        folder, place_settings(folder, json.loads(json.dumps({"bench": bench, "model": section})))
-    )
+    remade, model = build_drive(folder, {"bench": bench, "model": section})
     assert remade.joints == fitted.bench.joints and remade.nv > 1
     assert remade.groups(remade.params["armature"]) == remade.nv * ["all"]
     model.double().load_state_dict(fitted.model.state_dict())
@@ -222,44 +222,53 @@ def test_a_robot_needs_its_own_file_no_more(tmp_path: Path) -> None:
         np.testing.assert_allclose(own, other, rtol=0, atol=EXACT)
 
 
-def replace_text(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
+Change = Callable[[dict[str, Any]], Any]
 
 
-def settle(folder: Path, change: Callable[[dict[str, Any]], None] = lambda card: None) -> None:
-    """Change a card, and let it be whole by its hashes."""
-    card = json.loads((folder / CARD).read_text())
-    change(card)
-    card["files"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in card["files"]}
-    (folder / CARD).write_text(json.dumps(card))
+def edit(folder: Path, change: Change) -> None:
+    record = read(folder)
+    change(record)
+    (folder / RESULT).write_text(json.dumps(record))
 
 
-def settings(card: dict[str, Any]) -> dict[str, Any]:
-    return card["result"]["settings"]
+def settle(folder: Path, change: Change = lambda record: None) -> None:
+    """Change a card's record, and make all hashes agree."""
+
+    def hash_again(record: dict[str, Any]) -> None:
+        change(record)
+        files = {name: (folder / name).read_bytes() for name in record["card"]["files"] if name != RESULT}
+        record["card"]["files"] = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+        record["card"]["files"][RESULT] = hash_record(record)
+
+    edit(folder, hash_again)
 
 
-@pytest.mark.parametrize(
-    ("damage", "expected"),
-    [
-        (lambda folder: (folder / CARD).write_text("{"), "not JSON"),
-        (lambda folder: (folder / CARD).write_text("[" * 100_000), "not JSON"),
-        (lambda folder: (folder / CARD).write_text('{"schema_version": 5}'), "schema_version 5, expected 4"),
-        (
-            lambda folder: (folder / MODEL).write_bytes((folder / MODEL).read_bytes()[:-8]),
-            "SHA-256 .* get the card again",
-        ),
-        (lambda folder: (folder / TEMPLATE).unlink(), "No such file or directory"),
-        (lambda folder: settle(folder, lambda card: card.pop("licence")), "'licence' is a required property"),
-        (lambda folder: settle(folder, lambda card: card["result"].pop("model")), "'model' is a required property"),
-    ],
-)
-def test_a_damaged_card_is_one_line(own: Path, damage: Callable, expected: str) -> None:
-    damage(own)
-    with pytest.raises(RunError, match=rf"^{re.escape(str(own))}.*{expected}") as told:
-        fz.load(own)
-    assert "\n" not in str(told.value)
+def write(name: str, content: bytes) -> Callable[[Path], None]:
+    def replace_file(folder: Path) -> None:
+        (folder / name).write_bytes(content)
+        settle(folder)
+
+    return replace_file
+
+
+def refer(to: str) -> Callable[[Path], None]:
+    def replace_text(folder: Path) -> None:
+        text = (folder / TEMPLATE).read_text()
+        write(TEMPLATE, text.replace("<worldbody>", f"{to}<worldbody>", 1).encode())(folder)
+
+    return replace_text
+
+
+def put(section: str, value: Any) -> Callable[[Path], None]:
+    return lambda folder: settle(folder, lambda record: record["settings"].update({section: value}))
+
+
+def name_file(record: dict[str, Any]) -> None:
+    record["card"]["files"]["../x"] = 64 * "0"
+
+
+def multiply(record: dict[str, Any]) -> None:
+    next(row for row in record["parameters"] if row["name"] == "armature")["value"] *= 1.001
 
 
 class Executed:
@@ -269,20 +278,48 @@ class Executed:
         return (exec, ("import sys; sys.executed = True",))
 
 
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda folder: (folder / RESULT).write_text("[" * 100_000), "not JSON"),
+        (lambda folder: edit(folder, lambda record: record.update(schema_version=5)), "schema_version 5, expected"),
+        (lambda folder: (folder / LAW).write_bytes((folder / LAW).read_bytes()[:-8]), "SHA-256 .* get the card again"),
+        (lambda folder: edit(folder, multiply), r"result\.json: SHA-256"),
+        (lambda folder: (folder / TEMPLATE).unlink(), "No such file or directory"),
+        (lambda folder: edit(folder, lambda record: record["card"].pop("licence")), "'licence' is a required property"),
+        (lambda folder: edit(folder, name_file), r"names the file \.\./x"),
+        (write(LAW, pickle.dumps(Executed())), "expected the values of coulomb_stribeck"),
+        (write(LAW, b""), "expected the values of coulomb_stribeck"),
+        (write(TEMPLATE, b"\xff"), TEMPLATE),
+        (refer('<include file="/etc/passwd"/>'), "refers to <include>, expected one file"),
+        (refer('<asset><mesh name="m" file="/etc/passwd"/></asset>'), "refers to /etc/passwd, expected one file"),
+        (refer('<extension><plugin plugin="a.so"/></extension>'), "refers to <extension>, expected one file"),
+        (refer("<"), "MJCF|XML|not well-formed"),
+        (put("bench", []), r"settings\.bench"),
+        (put("bench", {"_target_": "frictionzoo.bench.Bench"}), "actuator"),
+        (put("model", None), "None: expected a section"),
+        (put("model", {"_target_": "frictionzoo.models.Lugre", "params": 3}), "Lugre"),
+    ],
+)
+def test_a_damaged_or_foreign_card_is_one_line_and_nothing_of_it_runs(
+    own: Path, change: Callable, expected: str
+) -> None:
+    (own.parent / "x").write_text("mine")
+    change(own)
+    with pytest.raises(FrictionzooError, match=expected) as told:
+        fz.load(own)
+    assert "\n" not in str(told.value) and str(own) in str(told.value) and not hasattr(sys, "executed")
+
+
 STRANGERS = ("os.system", "frictionzoo.export.__main__.main", "frictionzoo.data.files.Files", "antigravity.Law", "x")
 
 
 @pytest.mark.parametrize("target", STRANGERS)
 @pytest.mark.parametrize("place", ["bench", "actuator", "params", "model"])
 def test_nothing_but_laws_is_built(own: Path, target: str, place: str) -> None:
-    def name(card: dict[str, Any]) -> None:
-        bench = settings(card)["bench"]
-        parts = {
-            "bench": bench,
-            "actuator": bench["actuator"],
-            "params": bench["params"],
-            "model": settings(card)["model"],
-        }
+    def name(record: dict[str, Any]) -> None:
+        bench, model = record["settings"]["bench"], record["settings"]["model"]
+        parts = {"bench": bench, "actuator": bench["actuator"], "params": bench["params"], "model": model}
         parts[place]["_target_"] = target
 
     settle(own, name)
@@ -292,64 +329,16 @@ def test_nothing_but_laws_is_built(own: Path, target: str, place: str) -> None:
     assert not {"antigravity", "frictionzoo.export.__main__"} & ({*sys.modules} - before)
 
 
-def nonsense(place: str, value: Any) -> Callable[[Path], None]:
-    return lambda folder: settle(folder, lambda card: settings(card).update({place: value}))
-
-
-def write_model(content: bytes) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        (folder / MODEL).write_bytes(content)
-        settle(folder)
-
-    return write
-
-
-def refer(to: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        replace_text(folder / TEMPLATE, "<worldbody>", f"{to}<worldbody>")
-        settle(folder)
-
-    return write
-
-
-def lie(card: dict[str, Any]) -> None:
-    next(row for row in card["result"]["parameters"] if row["name"] == "armature")["value"] *= 1.001
-
-
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        (write_model(pickle.dumps(Executed())), "expected the values of coulomb_stribeck"),
-        (write_model(b""), "expected the values of coulomb_stribeck"),
-        (refer('<include file="/etc/passwd"/>'), "refers to <include>, expected one file"),
-        (refer('<asset><mesh name="m" file="/etc/passwd"/></asset>'), "refers to /etc/passwd, expected one file"),
-        (refer('<extension><plugin plugin="a.so"/></extension>'), "refers to <extension>, expected one file"),
-        (refer("<"), "MJCF|XML|not well-formed"),
-        (nonsense("bench", []), r"settings\.bench=\[\], expected a section"),
-        (nonsense("bench", {"_target_": "frictionzoo.bench.Bench"}), "actuator"),
-        (nonsense("model", None), "None: expected a section"),
-        (nonsense("model", {"_target_": "frictionzoo.models.Lugre", "params": 3}), "Lugre"),
-        (lambda folder: settle(folder, lie), r"bench\.armature differs, .* card\.json"),
-        (lambda folder: settle(folder, lambda card: card["files"].update({"../x": 64 * "0"})), "names the file"),
-    ],
-)
-def test_a_foreign_card_is_one_line_and_nothing_of_it_runs(own: Path, change: Callable, expected: str) -> None:
-    (own.parent / "x").write_text("mine")
-    change(own)
-    with pytest.raises(FrictionzooError, match=expected) as told:
-        fz.load(own)
-    assert "\n" not in str(told.value) and not hasattr(sys, "executed")
-
-
 @pytest.mark.parametrize(
     ("options", "error", "expected"),
     [
-        ({}, ConfigError, r"^licence is missing; .* such as licence=cc-by-4\.0$"),
-        ({"licence": "CC BY 4.0\n- evil: 1"}, ConfigError, r"expected one line of text$"),
-        ({"licence": "CC BY 4.0"}, ConfigError, r"^licence=CC BY 4\.0: expected a lower-case identifier"),
+        ({}, ConfigError, "^licence is missing"),
+        ({"licence": "CC BY 4.0\n- evil: 1"}, ConfigError, "^licence=.* one line"),
+        ({"licence": "CC BY 4.0"}, ConfigError, "^licence=.* lower-case"),
         ({"license": "mit"}, ConfigError, r"^license: unknown option; did you mean licence\?"),
         (LICENCE | {"output": "taken"}, OutputError, r"^taken/README\.md: not written by this program"),
-        (LICENCE | {"output": "taken/README.md/card"}, OutputError, r"set output to a folder that can be written$"),
+        (LICENCE | {"output": "taken/README.md/card"}, OutputError, "set output to a folder that can be written$"),
+        (LICENCE | {"output": "run"}, OutputError, r"^run/result\.json: not written by this"),
     ],
 )
 def test_what_cannot_be_written_leaves_nothing(
@@ -358,6 +347,7 @@ def test_what_cannot_be_written_leaves_nothing(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "README.md").write_text("mine")
+    (tmp_path / "run").symlink_to(run)
     before = {*tmp_path.rglob("*"), *run.iterdir()}
     with pytest.raises(error, match=expected):
         write_card(run, options)
@@ -369,7 +359,7 @@ def test_a_failure_on_the_way_leaves_the_older_card(run: Path, own: Path, monkey
         raise OutputError("the disk is full")
 
     before = {path.name: path.read_bytes() for path in own.iterdir()}
-    monkeypatch.setattr("frictionzoo.report.card.write.save_portraits", fail)
+    monkeypatch.setattr("frictionzoo.report.card.save_portraits", fail)
     with pytest.raises(OutputError, match="disk is full"):
         write_card(run, LICENCE | {"output": str(own)})
     assert {path.name: path.read_bytes() for path in own.iterdir()} == before and len([*own.parent.iterdir()]) == 1
@@ -445,8 +435,7 @@ def test_a_card_comes_by_name(hub: type[Hub], card: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("hub:maker/arm", r"^hub:maker/arm: no such public repository; expected hub:OWNER/NAME$"),
-        ("hub:maker", r"^hub:maker: expected hub:OWNER/NAME, or hub:OWNER/NAME@REVISION$"),
+        ("hub:maker/arm", "^hub:maker/arm: no such public repository"),
         ("hub:../knee", r"^hub:\.\./knee: expected hub:OWNER/NAME"),
     ],
 )
@@ -457,7 +446,7 @@ def test_a_name_that_is_none_is_one_line(hub: type[Hub], name: str, expected: st
 
 def test_a_repository_without_a_card_is_one_line(hub: type[Hub], tmp_path: Path) -> None:
     hub.files = tmp_path
-    with pytest.raises(RunError, match=r"^hub:maker/knee: no card\.json, expected a card; name another"):
+    with pytest.raises(RunError, match=r"^hub:maker/knee: no result\.json, expected a card"):
         fz.load("hub:maker/knee")
 
 
@@ -465,11 +454,11 @@ def test_a_hub_that_does_not_answer_has_what_is_kept(hub: type[Hub], monkeypatch
     kept = fz.load("hub:maker/knee").folder
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
     assert fz.load("hub:maker/knee").folder == kept
-    with pytest.raises(RunError, match=r"^hub:maker/arm: the hub does not answer, and card\.json is not cached"):
+    with pytest.raises(RunError, match=r"^hub:maker/arm: the hub does not answer"):
         fz.load("hub:maker/arm")
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r'^hub:a/b: huggingface-hub not found, .* pip install "frictionzoo\[hub\]"$'):
+    with pytest.raises(ConfigError, match=r'^hub:a/b: huggingface-hub .* pip install "frictionzoo\[hub\]"$'):
         fz.load("hub:a/b")

@@ -32,7 +32,7 @@ from frictionzoo.core.manifest import MANIFEST, Manifest
 from frictionzoo.core.output import LOGGERS, RUN_FILES, RUNNING
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit.loggers import Csv, TensorBoard
-from frictionzoo.report.card.write import write_card
+from frictionzoo.report.card import write_card
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 LICENCE = {"licence": "cc-by-4.0"}
@@ -137,14 +137,16 @@ def write_comparison(folder: Path, files: dict[str, bytes]) -> None:
         output.remove_written(folder / "figures" / "differences.png")
 
 
-def write_staged(kind: str, folder: Path, files: dict[str, bytes]) -> None:
-    with output.take_place(folder, kind, [f"{kind}.json"]) as fresh:
+def write_staged(kind: str, last: str, folder: Path, files: dict[str, bytes]) -> None:
+    with output.take_place(folder, kind, [last]) as fresh:
         write(fresh, files)
 
 
 WRITERS: dict[str, Callable[[Path, dict[str, bytes]], None]] = {
-    **{"run": write_run, "comparison": write_comparison},
-    **{kind: functools.partial(write_staged, kind) for kind in ("card", "export")},
+    "run": write_run,
+    "comparison": write_comparison,
+    "card": functools.partial(write_staged, "card", "result.json"),
+    "export": functools.partial(write_staged, "export", "export.json"),
 }
 
 

@@ -43,7 +43,7 @@ from frictionzoo.export.module import write_module
 from frictionzoo.export.mujoco_c import write_native
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models import Dahl, MujocoDefault
-from frictionzoo.report.card.write import write_card
+from frictionzoo.report.card import write_card
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.values import list_values
 
@@ -403,7 +403,7 @@ def test_a_card_keeps_names_and_shortens_paths(
     read = fz.load(place)
     assert read.bench.joints == (name,) and read.result["joints"] == [name] and told == []
     assert [row["name"] for row in read.result["parameters"][0]["by_joint"]] == [name]
-    text = (place / "card.json").read_text() + (place / "README.md").read_text()
+    text = (place / "result.json").read_text() + (place / "README.md").read_text()
     for private in (str(recording.parent), str(run), str(tmp_path)):
         assert private not in text
     lines = (place / "README.md").read_text().splitlines()

@@ -10,6 +10,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from frictionzoo.api.compared import Compared
+from frictionzoo.api.hub import PREFIX, fetch_card
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, Robot
 from frictionzoo.core.build import build
@@ -31,9 +32,6 @@ from frictionzoo.identification.recipe import leave_open, refuse_unknown
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.by_name import law_section
 from frictionzoo.models.registry import get_model
-from frictionzoo.report.card.hub import PREFIX, fetch_card
-from frictionzoo.report.card.read import read_card
-from frictionzoo.report.card.record import CARD
 from frictionzoo.result.comparison.runs import Failure
 from frictionzoo.simulation.context import refuse_late_fork
 
@@ -314,16 +312,15 @@ def load(folder: str | Path) -> Identified:
     A drive from a card has no recordings: its rollouts need segments as an argument.
 
     Args:
-        folder: Folder of the run's `result.json` or of the `card.json`; or `hub:OWNER/NAME`, a card of a model hub,
-            which needs the extra `hub`.
+        folder: Folder of the run or card; or `hub:OWNER/NAME`, a card of a model hub, which needs the extra `hub`.
 
     Raises:
         RunError: The folder holds no run or card of this version, or a file is damaged.
         BenchError: The MJCF of the run's bench is missing or has changed.
         ConfigError: The extra is not installed.
     """
-    place = fetch_card(folder) if isinstance(folder, str) and folder.startswith(PREFIX) else Path(folder)
-    return Identified.of(read_card(place)) if (place / CARD).exists() else Identified.load(place)
+    is_on_hub = isinstance(folder, str) and folder.startswith(PREFIX)
+    return Identified.load(fetch_card(folder) if is_on_hub else Path(folder))
 
 
 @_naming_arguments()

@@ -60,7 +60,7 @@ def card(arguments: Sequence[str] | None = None) -> None:
     """Publish a run's drive as a card; `arguments` of every command default to `sys.argv`."""
     parsed = parse("card", arguments)
     with _checked([parsed.folder], parsed.options, "licence=cc-by-4.0") as options:
-        from frictionzoo.report.card.write import write_card
+        from frictionzoo.report.card import write_card
 
         place, warnings = write_card(parsed.folder, options)
         say("\n".join([*(f"warning: {line}" for line in warnings), f"files: {place}"]))

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.output import FAILURE, RESULT, RUNNING
+from frictionzoo.core.output import FAILURE, RESULT, RUNNING, TEMPLATE
 
 _DEEPEST = 60  # levels of nesting; this program's files have a dozen
 
@@ -24,11 +24,15 @@ class Failure:
 
 
 def find_runs(folder: Path) -> list[Path]:
-    """Return the job folders in a folder, in order, or the folder itself if it is a job's; RunError for none."""
+    """Return the job folders in a folder without cards, in order, or the folder itself if it is a job's.
+
+    Raises:
+        RunError: There is no job.
+    """
     names = (RESULT, FAILURE, RUNNING, ".hydra")
     if any((folder / name).exists() for name in names):
         return [folder]
-    folders = {path.parent for name in names for path in folder.rglob(name)}
+    folders = {path.parent for name in names for path in folder.rglob(name) if not path.with_name(TEMPLATE).exists()}
     if not folders:
         raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
     # By the numbers in the names: 2_coulomb before 10_neural.

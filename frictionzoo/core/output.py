@@ -23,6 +23,7 @@ from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empt
 RESULT = "result.json"  # done
 FAILURE = "failure.json"  # failed, with the reason
 SETTLED = "checkpoints/settled.safetensors"  # results of automatic settings
+TEMPLATE = "template.xml"  # only a card has it: MJCF of its test stand without the drive
 RUNNING = ".running"  # locked while a process runs the job; a killed process leaves it unlocked
 
 _CLAIMED: ContextVar[tuple[tuple[Path, Manifest | None], ...]] = ContextVar("claimed", default=())
@@ -198,7 +199,7 @@ def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
     Raises:
         OutputError: A foreign file is in the way, before or after the work; or the folder cannot be written.
     """
-    if (place / RESULT).exists():
+    if RESULT not in names and (place / RESULT).exists():
         raise OutputError(f"{show_path(place)}: it holds a run, expected another folder; set output to one")
     with claim(place, kind, names) as manifest:
         try:

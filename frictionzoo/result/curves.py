@@ -1,7 +1,7 @@
 """`curves.safetensors`: arrays for the figures of a run and of comparisons of runs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -80,6 +80,11 @@ class Curves:
     left: Float[np.ndarray, "rows drawn"] = field(default_factory=lambda: np.empty((0, 0)))
     recording: Float[np.ndarray, "placed"] = field(default_factory=lambda: np.empty(0))
     begins: Float[np.ndarray, "placed"] = field(default_factory=lambda: np.empty(0))
+
+    def without_recordings(self) -> "Curves":
+        """Return the friction curves and the fit's history; arrays of rollouts and recordings are empty."""
+        emptied = {name: getattr(self, name)[:0] for name in _ARRAYS if not name.startswith(("velocity", "friction"))}
+        return replace(self, signals=self.signals.map(lambda signal: signal[:0]), **emptied)
 
 
 _NAMED = "signals", "history", "portraits"

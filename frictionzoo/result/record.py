@@ -26,6 +26,7 @@ from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.uncertainty import Covariance, Uncertainty
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result import types
+from frictionzoo.result.card import open_card
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
@@ -35,7 +36,7 @@ from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import explain_failure, judge
 from frictionzoo.simulation.proof import Proof
 
-SCHEMA_VERSION: Final = 9
+SCHEMA_VERSION: Final = 10
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -131,6 +132,7 @@ def build_result(found: Findings) -> types.Result:
         "notes": list(bench.notes),
         "device": found.device,
         "versions": _read_versions(),
+        "card": None,
         "settings": dict(found.settings),
         "written": [],
         "not_identified": None,
@@ -160,14 +162,16 @@ def pick_metrics(result: types.Result) -> dict[str, float]:
 
 
 def read_run(folder: Path) -> tuple[types.Result, Curves]:
-    """Read `result.json` and `curves.safetensors` of a finished run.
+    """Read `result.json` and `curves.safetensors` of a finished run, or of a card, whose curves have no recordings.
 
     Raises:
-        RunError: The folder holds no finished run of this version, or one of the files is damaged.
+        RunError: The folder holds no finished run of this version, or a file is damaged.
     """
     refuse_unfinished(folder)
     refuse_links(folder, files=False)
     result = read_valid(folder / RESULT, SCHEMA_VERSION, read_schema())
+    if result["card"]:
+        open_card(folder, result)
     curves = read_curves(folder)
     _refuse_inconsistent(folder / RESULT, cast(types.Result, result), curves)
     return cast(types.Result, result), curves

@@ -6,6 +6,7 @@ The text below a key becomes its description; entries of `Annotated` after a typ
 from typing import Annotated, Any, Literal, TypedDict
 
 from frictionzoo.core.log import Origin
+from frictionzoo.result.card import CardRow
 from frictionzoo.result.kinds import (
     Carried,
     Count,
@@ -291,7 +292,7 @@ class Result(TypedDict):
     rollouts diverged or nothing was fitted. A run writes this file last: if it exists, so do the run's other files.
     """
 
-    schema_version: Literal[9]
+    schema_version: Literal[10]
     """Schema version, increased by every change that affects readers of the file."""
     model: Text
     """Name of the friction model, a file of conf/model."""
@@ -371,6 +372,9 @@ class Result(TypedDict):
     """Device of the computation, for example cpu."""
     versions: Versions
     """Versions of the packages that affect the numbers."""
+    card: CardRow | None
+    """Published drive in a folder without recordings and paths of a machine, which has file names instead of paths, no
+    commands in `verdict`, and the bench of template.xml in `settings`; null: an ordinary run."""
     settings: dict[str, Any]
     """All options of the run, as in `.hydra/config.yaml`, with computed values. For a distilled drive also `teacher`,
     the folder of the teacher's run."""

@@ -56,7 +56,9 @@ def gather(runs: Sequence[Run]) -> list[Run]:
     Raises:
         RunError: Two runs are not comparable.
     """
-    for run in runs[1:]:
+    for run in runs:
+        if run.result["card"]:
+            raise RunError(f"{run.folder}: a card without recordings, expected the folder of a run; name its run")
         _refuse_incomparable(run, runs[0])
     return [replace(run, label=_label_among(run, [r for r in runs if r.label == run.label])) for run in runs]
 

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from frictionzoo.core.errors import ConfigError, RunError
-from frictionzoo.report.card.record import CARD
+from frictionzoo.core.output import RESULT
 
 PREFIX = "hub:"
 _NAME = re.compile(r"(?P<repository>[\w-][\w.-]*/[\w-][\w.-]*)(@(?P<revision>[\w./-]+))?")
@@ -30,7 +30,7 @@ def fetch_card(name: str) -> Path:
             f'{name}: huggingface-hub not found, expected an installed package; pip install "frictionzoo[hub]"'
         )
     repository = parts["repository"]
-    page = _fetch(name, repository, CARD, parts["revision"])
+    page = _fetch(name, repository, RESULT, parts["revision"])
     folder, commit = page.parent, page.parent.name  # each cache folder belongs to one commit
     for file in _list_files(page):
         _fetch(name, repository, file, commit)
@@ -62,9 +62,9 @@ def _fetch(name: str, repository: str, file: str, revision: str | None) -> Path:
 
 
 def _list_files(path: Path) -> list[str]:
-    """Return the file names listed in `card.json`; empty if it is invalid, which `read_card` reports."""
+    """Return the file names listed in a card's `result.json`; empty if it is invalid, which `read_run` reports."""
     try:
-        files = [*json.loads(path.read_text(encoding="utf-8"))["files"]]
+        files = [*json.loads(path.read_text(encoding="utf-8"))["card"]["files"]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
     return [name for name in files if isinstance(name, str) and _FILE.fullmatch(name)]
