@@ -140,11 +140,11 @@ def foresee(request: dict[str, str], run: Identified, ctrl: np.ndarray) -> dict[
     """Predict half of each interval after a recording of this command, as a share of the value, by name."""
     with computing("float64"):
         task = prepare(Request.read(request, run), run)
-        speed = np.gradient(ctrl, task.sensitivity.sampling.interval)
-        see = task.drive.rollout.compile(lambda *command: task.see(*command, ctrl[:1]).information)
-        segments = task.sensitivity.segments(len(ctrl))
-        half = task.sensitivity.half_widths(see(ctrl[None, :, None], speed[None, :, None]), segments)[0]
-        return {name: share for name, (*_, share) in relative(task.sensitivity.space, task.vector, half).items()}
+        speed = np.gradient(ctrl, task.sampling.interval)
+        see = task.drive.rollout.compile(lambda *command: task.see(*command, ctrl[:1])[1])
+        segments = task.segments(len(ctrl))
+        half = task.half_widths(see(ctrl[None, :, None], speed[None, :, None]), segments)[0]
+        return {name: share for name, (*_, share) in relative(task.space, task.vector, half).items()}
 
 
 def compare(

@@ -1,7 +1,7 @@
 """`design_recording`: the next command to record, and its files."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from frictionzoo.core.output import claim, refuse_existing, to_json, write_atomically, write_json
@@ -44,5 +44,4 @@ def design_recording(options: Mapping[str, str], run: FittedDrive | None = None)
     Raises:
         FrictionzooError: An option or the run is invalid, or no command keeps the limits.
     """
-    excitation = excite(options, run)
-    return Design(**{field.name: getattr(excitation, field.name) for field in fields(excitation)})
+    return Design(**vars(excite(options, run)))

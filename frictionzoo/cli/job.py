@@ -49,11 +49,12 @@ def run_job(
     parts = Parts.from_settings(settings, given, folder)
     tell("checking the input, compiling")
     with parts.computing() as device:
-        measured = Problem.pose(parts)
-        problem = measured if teacher is None else measured.following(teacher)
+        problem = Problem.pose(parts)
+        if teacher:
+            problem = problem.following(teacher)
         record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
-        origin = Origin.of_run(options, folder, None if teacher is None else teacher.place)
-        drive = Identified.of(solve(problem, name, device, record=record, measured=measured, origin=origin))
+        origin = Origin.of_run(options, folder, teacher.place if teacher else None)
+        drive = Identified.of(solve(problem, name, device, record=record, origin=origin))
     tell(f"writing {folder}")
     result = drive.save(folder)
     figures = [folder / name for name in RUN_FILES if name.startswith("figures/") and (folder / name).exists()]

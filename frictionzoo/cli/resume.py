@@ -168,12 +168,12 @@ def recorded(record: Mapping[Path, bytes]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def nothing_of_a_refused_run(made: Sequence[Path]) -> Iterator[None]:
-    """Remove the empty folders that Hydra made for a refused run, the innermost first."""
+def nothing_of_a_refused_run(folders: Sequence[Path]) -> Iterator[None]:
+    """Remove those of these folders, the innermost first, that a refused run leaves empty."""
     try:
         yield
     except FrictionzooError:
-        for folder in made:
+        for folder in folders:
             remove_if_empty(folder)
         raise
 

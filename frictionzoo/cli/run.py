@@ -28,7 +28,7 @@ from frictionzoo.cli.resume import (
     say_how_a_sweep_goes_on,
     write_record,
 )
-from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, folders_made, objective_of, run_in_sweep
+from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra
 from frictionzoo.core.output import LOGGERS, RUN_FILES, occupy
@@ -62,7 +62,7 @@ def _job(config: DictConfig) -> float:
     # Errors end here, because Hydra adds a line to an error that passes through it.
     with (
         mistakes_in_one_line(lambda: say_how_a_run_goes_on(folder)),
-        nothing_of_a_refused_run([] if is_named else folders_made()),
+        nothing_of_a_refused_run([] if is_named else [folder, *folder.parents[:2]]),
         occupy(folder, wait=False, names=RUN_FILES, inside=inside),
         # A resumed run keeps its first record, because the new command may be a mistake.
         contextlib.nullcontext() if resumed else recorded(record),

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from filelock import FileLock
-from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
@@ -24,9 +23,8 @@ from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock
 from frictionzoo.result.types import Result
 
 _log = logging.getLogger(__name__)
-# Hydra creates the callback, so data passes to this program only through context variables.
+# Hydra creates the callback, so data passes to this program only through a context variable.
 _begun: ContextVar[list[Path]] = ContextVar("begun")
-_made: ContextVar[list[Path]] = ContextVar("made", default=[])  # noqa: B039 - never changed, only replaced
 _SWEEP_RECORD = "multirun.yaml"  # Hydra's
 
 
@@ -43,16 +41,6 @@ class SweepFolder(Callback):
         finally:
             _begun.reset(token)
 
-    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Record the folders that Hydra makes for a single job."""
-        hydra, before = HydraConfig.instance(), HydraConfig.instance().cfg
-        try:
-            hydra.set_config(config)  # the folder's name refers to it
-            folder = Path(config.hydra.run.dir).absolute()
-        finally:
-            hydra.cfg = before
-        _made.set([place for place in (folder, *folder.parents[:2]) if not place.exists()])
-
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Record the sweep's folder; restrict a local Ray cluster to the loopback interface."""
         folder = Path(config.hydra.sweep.dir).absolute()
@@ -65,11 +53,6 @@ class SweepFolder(Callback):
         # Ray reads this on import; without it, a node listens on all interfaces, whatever its address.
         if OmegaConf.select(config, "hydra.launcher.ray.init.address") == "local":
             os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
-
-
-def folders_made() -> list[Path]:
-    """Return the folders that Hydra makes for a single job, the innermost first."""
-    return _made.get()
 
 
 def run_in_sweep(

@@ -14,7 +14,7 @@ from frictionzoo.bench.limits import KINDS, Limits
 from frictionzoo.core.errors import ConfigError, closest, refuse_outside
 from frictionzoo.design.information import Information
 from frictionzoo.design.series import Series
-from frictionzoo.design.task import Seen, Task
+from frictionzoo.design.task import Task
 
 CRITERIA = ("determinant", "worst")
 _BEGIN = 0.8  # share of the limits used by the first series
@@ -140,8 +140,8 @@ def score(information: Information, criterion: str, reference: Float[Any, "coord
 
 def scale_within(
     task: Task, series: Series, limits: Limits, coefficients: Float[np.ndarray, "nv coefficients"]
-) -> tuple[Float[np.ndarray, "nv coefficients"], Seen]:
-    """Scale the series down until the whole command and its motion keep all limits.
+) -> tuple[Float[np.ndarray, "nv coefficients"], Information]:
+    """Scale the series down until the whole command and its motion keep all limits; return it and its information.
 
     Raises:
         ConfigError: No scale keeps the limits, or the drive does not move with it.
@@ -150,14 +150,14 @@ def scale_within(
     factor = 1.0
     for _ in range(_TRIALS):
         commands = (part[None] for part in series.command(np, factor * coefficients, limits.home))
-        simulated = jax.tree.map(np.asarray, simulate(*commands))
-        used = float(simulated.motion.shares(np, limits).max())
+        motion, information = jax.tree.map(np.asarray, simulate(*commands))
+        used = float(motion.shares(np, limits).max())
         if used <= 1:
             break
         # Some friction does not depend on the amplitude, which must therefore fall by more than the excess.
         factor *= min(used**-1.2, 0.999) if np.isfinite(used) else 0.5
-    if not used <= 1 or np.abs(simulated.motion.qvel).max() < _LEAST * limits.velocity.max():
+    if not used <= 1 or np.abs(motion.qvel).max() < _LEAST * limits.velocity.max():
         raise ConfigError(
             "the drive does not move within these limits: what holds it and its friction take all of torque; raise it"
         )
-    return factor * coefficients, simulated
+    return factor * coefficients, information

@@ -15,7 +15,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
 from frictionzoo.design.design import design, scale_within
-from frictionzoo.design.information import Sensitivity, relative
+from frictionzoo.design.information import relative
 from frictionzoo.design.plan import Request
 from frictionzoo.design.steps import list_steps
 from frictionzoo.design.task import Task
@@ -67,18 +67,17 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Excita
         task = prepare(request, run)
         limits = Limits.read(task.bench.nv, **request.limits)
         refuse_unholdable(task.bench, task.values["bench"], task.constants, limits)
-        sensitivity, reduced = task.sensitivity, limits.within(1 - plan.margin)
-        series = plan.series(sensitivity.sampling.interval, sensitivity.length)
-        if sensitivity.segments(series.shortened.samples) < 2:
+        reduced, series = limits.within(1 - plan.margin), plan.series(task.sampling.interval, task.length)
+        if task.segments(series.shortened.samples) < 2:
             raise ConfigError(
-                f"seconds={plan.seconds:g}: fewer than two of the fit's segments of {sensitivity.length} samples; "
+                f"seconds={plan.seconds:g}: fewer than two of the fit's segments of {task.length} samples; "
                 "record for longer or lower segments.length"
             )
-        optimum = design(task, series.shortened, reduced, request.search, _known_before(sensitivity.space, run))
-        coefficients, simulated = scale_within(task, series, reduced, optimum.coefficients)
+        optimum = design(task, series.shortened, reduced, request.search, _known_before(task.space, run))
+        coefficients, information = scale_within(task, series, reduced, optimum.coefficients)
         ctrl, speed = series.command(np, coefficients, limits.home)
         motion, motion_in_steps = task.see_in_c(ctrl, speed, limits.home)
-        half = sensitivity.half_widths(simulated.information, sensitivity.segments(series.samples))[0]
+        half = task.half_widths(information, task.segments(series.samples))[0]
     used = motion_in_steps.shares(np, limits).max(axis=1)
     _refuse_beyond(used, task.bench)
     note = {
@@ -90,9 +89,9 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Excita
         "command": {**asdict(plan), "rate": 1 / series.interval, "home": limits.home.tolist()},
         "noise": asdict(request.noise),
         "search": {**asdict(request.search), "began": optimum.first.tolist(), "ended": optimum.values.tolist()},
-        "fit": {"length": sensitivity.length, "weights": list(sensitivity.weights)},
+        "fit": {"length": task.length, "weights": list(task.weights)},
         "next": list_steps(
-            options, None if run is None else run.place, settings, task.bench, task.drive.model, sensitivity.length
+            options, None if run is None else run.place, settings, task.bench, task.drive.model, task.length
         ),
     }
     inputs = {"ctrl_velocity": speed} | {name: np.tile(value, (len(ctrl), 1)) for name, value in task.constants.items()}
@@ -131,12 +130,12 @@ def prepare(request: Request, run: FittedDrive | None) -> Task:
     weights = float(settings["loss"]["position"]), float(settings["loss"]["velocity"])
     length = settings["segments"]["length"]
     length = max(2, round(0.1 / interval)) if length is None else int(length)  # by default a tenth of a second
-    sensitivity = Sensitivity(space, drive.rollout, sampling, length, weights, request.noise)
     vector = np.asarray(space.start)
     if run is not None:
         identified = {name: run.parameters[name].value[place.first] for name, place in space.places.items()}
         vector = np.concatenate([space.params[name].to_coordinate(value, np) for name, value in identified.items()])
-    return Task(bench, drive, sensitivity, vector, constants, bench.load(NO_PAYLOAD))
+    fit = space, sampling, length, weights, request.noise
+    return Task(bench, drive, *fit, vector, constants, bench.load(NO_PAYLOAD))
 
 
 def _known_before(space: Space, run: FittedDrive | None) -> Float[np.ndarray, "coordinates"]:
@@ -187,7 +186,7 @@ def _list_parameters(
     task: Task, half: Float[np.ndarray, "coordinates"], run: FittedDrive | None
 ) -> list[dict[str, Any]]:
     """List a row for each coordinate: value, expected accuracy and present accuracy."""
-    space = task.sensitivity.space
+    space = task.space
     rows, present = relative(space, task.vector, half), {} if run is None else _share_now(run)
     units = {name: param.unit(task.bench.joint_type) for name, param in space.params.items()}
     return [

@@ -2,21 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.special
 from jaxtyping import Array, Float
 
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.segments import Sampling
-from frictionzoo.core.state import Signals
 from frictionzoo.fit import Space
-from frictionzoo.fit.blocks import MOST_STRETCHES
-from frictionzoo.fit.uncertainty import LEVEL
-from frictionzoo.simulation.rollout import Rollout
 
 _NOTHING = 1e-12  # regularisation of the inverse, as a share of each parameter's curvature
 
@@ -46,20 +39,6 @@ class Noise:
             raise ConfigError("position_noise, velocity_noise and quantum are 0: expected noise; state your sensor's")
 
 
-class Sensed(NamedTuple):
-    """Positions and velocities at the samples under a command, each of shape (batch, samples, nv), with derivatives.
-
-    Attributes:
-        slopes: Derivatives of positions and velocities after the first sample of each complete segment, with respect to
-            the coordinates and the segment's initial positions and velocities, of shape (segments, tangents, batch,
-            length, nv, 2).
-    """
-
-    qpos: Array
-    qvel: Array
-    slopes: Array
-
-
 class Information(NamedTuple):
     """Information in the segments of a batch of recordings.
 
@@ -79,71 +58,6 @@ class Information(NamedTuple):
         scale = root[:, :, None] * root[:, None, :]
         inverse = jnp.linalg.inv(self.hessian / scale + _NOTHING * jnp.eye(root.shape[1])) / scale
         return inverse @ self.spread @ inverse
-
-
-@dataclass(frozen=True)
-class Sensitivity:
-    """A drive with a fit of segments from measured initial states, as in `Objective`.
-
-    Attributes:
-        length: Sample intervals in a segment.
-        weights: Weights of squared position and velocity errors in the loss.
-    """
-
-    space: Space
-    rollout: Rollout
-    sampling: Sampling
-    length: int
-    weights: tuple[float, float]
-    noise: Noise
-
-    def segments(self, samples: int) -> int:
-        """Return the number of segments in a recording of this many samples."""
-        return (samples - 1) // self.length
-
-    def look(self, vector: Array, home: Float[np.ndarray, "nv"], signals: Signals, load: Array) -> Sensed:
-        """Simulate recordings from rest, with derivatives.
-
-        `vector` has the parameters' coordinates, `home` is the initial position [rad or m]. The signals have the shape
-        (batch, history + samples - 1, nv), the payload's `load` (batch, load).
-        """
-        samples = signals.ctrl.shape[1] - self.sampling.history
-        count = self.segments(samples + 1)
-        begins = self.length * np.arange(count)[:, None]
-        window = begins + np.arange(self.sampling.history + self.length)
-        cut = signals.map(lambda signal: jnp.moveaxis(signal[:, window], 1, 0))
-        batch, nv = signals.ctrl.shape[0], signals.ctrl.shape[2]
-        # Tangent directions: all coordinates, then all initial positions, then all initial velocities.
-        coordinates = len(self.space.start)
-        unit = np.eye(coordinates + 2 * nv)
-        parts = np.split(unit, [coordinates, coordinates + nv], axis=1)
-        vectors, *states = (jnp.asarray(part, vector.dtype) for part in parts)
-        seeds = vectors, *(jnp.broadcast_to(part[:, None], (len(unit), batch, nv)) for part in states)
-
-        def segment(state: tuple[Array, Array], driving: Signals) -> tuple[Any, Any]:
-            def run(vector: Array, qpos: Array, qvel: Array) -> Array:
-                return jnp.stack(self.rollout(self.space.values(vector), qpos, qvel, driving, load), axis=-1)
-
-            slope = jax.vmap(lambda *along: jax.jvp(run, (vector, *state), along), out_axes=(None, 0))
-            after, slopes = slope(*seeds)
-            return (after[:, -1, :, 0], after[:, -1, :, 1]), (after, slopes)
-
-        start = jnp.broadcast_to(jnp.asarray(home, vector.dtype), (batch, nv)), jnp.zeros((batch, nv), vector.dtype)
-        # To save memory, the reverse sweep stores only states and simulates each segment again.
-        end, (after, slopes) = jax.lax.scan(jax.checkpoint(segment), start, cut)
-        parts = [jnp.stack(start, axis=-1)[:, None], jnp.moveaxis(after, 0, 1).reshape(batch, -1, nv, 2)]
-        if samples > count * self.length:  # an incomplete segment adds no information, but must keep the limits
-            last = signals.map(lambda signal: signal[:, count * self.length :])
-            parts.append(jnp.stack(self.rollout(self.space.values(vector), *end, last, load), axis=-1))
-        states = jnp.concatenate(parts, axis=1)
-        return Sensed(states[..., 0], states[..., 1], slopes)
-
-    def half_widths(self, information: Information, segments: int) -> Float[np.ndarray, "batch coordinates"]:
-        """Return half of each 95 % interval in coordinates, as in `estimate_uncertainty`; NaN without effect."""
-        quantile = scipy.special.stdtrit(max(min(segments, MOST_STRETCHES) - 1, 1), (1 + LEVEL) / 2)
-        variances = np.diagonal(np.asarray(information.covariance), axis1=1, axis2=2)
-        effect = np.diagonal(np.asarray(information.hessian), axis1=1, axis2=2) > 0
-        return np.where(effect, quantile * np.sqrt(np.maximum(variances, 0)), np.nan)
 
 
 def inform(

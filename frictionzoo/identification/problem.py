@@ -47,6 +47,7 @@ class Problem:
         seconds: Time to build the problem [s].
         links: Link inertias identified before the fit, which the bench has; None if there are none.
         pilot: The pilot fit whose compiled equations this fit uses; None if it compiles its own.
+        measured: The problem with measured segments, if `segments` are another drive's rollouts; else None.
     """
 
     bench: Bench
@@ -65,6 +66,7 @@ class Problem:
     links: LinkInertia | None = None
     choices: tuple[Choice, ...] = ()
     pilot: Pilot | None = None
+    measured: "Problem | None" = None
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
@@ -143,7 +145,8 @@ class Problem:
         drive = Drive.assemble(bench, self.drive.model, settings["engine"], self.sampling)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"]).balanced()
-        return replace(self, bench=bench, segments=segments, drive=drive, objective=objective, pilot=None)
+        changed = {"bench": bench, "segments": segments, "drive": drive, "objective": objective}
+        return replace(self, **changed, pilot=None, measured=self)
 
 
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:

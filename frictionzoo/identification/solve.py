@@ -49,19 +49,13 @@ MOVING_BLINDLY = 0.01  # of its value, if it has no interval
 
 
 def solve(
-    problem: Problem,
-    name: str,
-    device: str,
-    *,
-    record: Record | None = None,
-    measured: Problem | None = None,
-    origin: Origin | None = None,
+    problem: Problem, name: str, device: str, *, record: Record | None = None, origin: Origin | None = None
 ) -> FittedDrive:
     """Identify a drive, in the `computing` context in which the problem was built.
 
-    `record` is where the fit's course is written; None: memory only. `measured` is the problem with measured segments
-    if those of `problem` are another drive's rollouts. `origin` is the shell command of the run, from which the next
-    commands are derived; None for a call from Python. `name` of the friction model and `device` are for the record.
+    `record` is where the fit's course is written; None: memory only. `origin` is the shell command of the run, from
+    which the next commands are derived; None for a call from Python. `name` of the friction model and `device` are for
+    the record.
 
     Raises:
         FrictionzooError: The fit cannot begin, or the record cannot be written.
@@ -82,7 +76,7 @@ def solve(
 
     evaluation_began = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
-    baseline, reference = judge_baseline(measured or problem)
+    baseline, reference = judge_baseline(problem.measured or problem)
     residual_torque, sections = _find_residual(problem, outcome)
 
     findings = Findings(
