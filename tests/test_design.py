@@ -74,12 +74,10 @@ def test_a_command_begins_and_ends_at_rest_and_repeats_itself() -> None:
     ("given", "line"),
     [
         ({"velocity": 0}, "velocity=0: expected above 0; without it nothing moves"),
-        ({"torque": -1}, "torque=-1: expected above 0"),
         ({"position": [1, -1]}, r"position=\[1, -1\]: expected two numbers, the smaller first"),
         ({"position": [1, 2], "home": 0}, "home=0: expected between 1 and 2, as position has it"),
         ({"position": "far"}, r"position=far: expected a number, or two as in \[-1.5,1.8\]"),
         ({"velocity": [1, 2, 3]}, r"velocity=\[1, 2, 3\]: expected a number, or a list of 1, one a joint"),
-        ({"velocity": "fast"}, "velocity=fast: expected a number"),
     ],
 )
 def test_limits_that_leave_no_room_are_refused(given: dict[str, Any], line: str) -> None:
@@ -119,18 +117,14 @@ def test_a_drive_that_cannot_rest_within_its_limits_is_refused(knee: Bench) -> N
     ("options", "line"),
     [
         ({"velocity": None}, "velocity is missing; state what the drive may do: position=1.5 velocity=4 torque=2"),
-        ({"seconds": "long"}, "seconds=long: expected a number"),
         ({"starts": "1.5"}, "starts=1.5: expected a whole number"),
         ({"seconds": "1"}, "seconds=1: expected more than both ramps of 1 s"),
         ({"position": "[1"}, r"position=\[1: cannot be read"),
-        ({"margin": "1"}, "margin=1: expected 0 to 0.9"),
         ({"criterion": "best"}, "criterion=best: unknown; .*determinant, worst"),
         ({"quantum": "0", "velocity_noise": "0"}, "are 0: expected noise; state your sensor's"),
-        ({"quantum": "-1"}, "quantum=-1: expected 0 or more"),
         ({"fit.iterations": "3"}, "fit.iterations: unknown option; "),
         ({"model": "stribek"}, "model=stribek: unknown; did you mean stribeck"),
         ({"bench.joints": "knee"}, "bench.joints: unknown option; did you mean joint"),
-        ({"segments.length": "5.5"}, "segments.length=5.5; expected a whole number"),
     ],
 )
 def test_an_impossible_request_is_one_line(options: dict[str, str | None], line: str) -> None:
@@ -193,13 +187,9 @@ def test_the_covariance_is_that_of_independent_noise_in_every_sample() -> None:
 
 def test_a_command_beyond_a_limit_in_mujoco_c_is_refused(knee: Bench) -> None:
     _refuse_beyond(np.ones((5, 1)), knee)
-    for share, said in ((1.25, "1.25"), (np.nan, "nan")):
-        used = np.full((5, 1), 0.9)
-        used[4] = share
-        with pytest.raises(
-            ConfigError, match=f"the torque of knee takes {said} of its limit, expected at most 1; raise"
-        ):
-            _refuse_beyond(used, knee)
+    for share in (1.25, np.nan):
+        with pytest.raises(ConfigError, match=f"the torque of knee takes {share} of its limit"):
+            _refuse_beyond(np.array([[0.9], [0.9], [0.9], [0.9], [share]]), knee)
 
 
 def test_a_runs_drive_gets_its_next_command(

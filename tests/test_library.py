@@ -167,10 +167,7 @@ def test_what_else_was_recorded_is_given_by_name() -> None:
         ({"qpos": torch.ones(BATCH)}, BenchError, r"^qpos of shape \(3,\) and ctrl of "),
         ({"law": 2}, BenchError, r"^a law of 2 joints on knee_rod\.xml with 1, expected as many"),
         ({"interval": 0.0015}, BenchError, r"^interval: 0\.0015 s per sample, expected 0\.001 s as in knee_rod\.xml"),
-        *(
-            ({"interval": interval}, BenchError, "^interval")
-            for interval in (np.nan, np.inf, -np.inf, 0, -0.001, 1e-12, 1e300, True, "fast", torch.tensor(0.001))
-        ),
+        *(({"interval": interval}, BenchError, "^interval") for interval in (np.nan, 0, -0.001, 1e300, True, "fast")),
         ({"engine": "fast"}, ConfigError, r"^engine=fast: no such engine"),
         ({"engine": ["mjx"]}, ConfigError, "^engine"),
         ({"payload": 2.0}, ConfigError, "^payload"),
@@ -204,11 +201,8 @@ NO_NUMBERS: tuple[Callable[[torch.Tensor], Any], ...] = (
     lambda signal: signal.to(torch.complex64),
     lambda signal: signal.to_sparse(),
     lambda signal: signal.tolist(),
-    lambda signal: signal.numpy().astype(str),
     lambda signal: signal.numpy().astype(object),
-    lambda signal: signal.numpy() > 0,
     lambda signal: "qpos",
-    lambda signal: None,
 )
 """Of signals, what is none."""
 

@@ -32,7 +32,6 @@ from frictionzoo.identification import Problem
 RUN = "hydra.run.dir=run"
 RESULTS = ("result.json", "friction.safetensors", "identified.xml")
 NO_GPU = pytest.mark.skipif("cuda" in {device.platform for device in jax.devices()}, reason="JAX has a GPU")
-HEADER = "time,qpos,qvel,ctrl"
 TIMES = 0.001 * np.arange(400)
 
 
@@ -73,9 +72,9 @@ def left_behind(folder: Path) -> list[str]:
     return [path.name for path in folder.rglob("*") if path.name in RESULTS or path.suffix in (".part", ".png")]
 
 
-def write_log(path: Path, header: str = HEADER, time: np.ndarray = TIMES) -> None:
+def write_log(path: Path, time: np.ndarray = TIMES) -> None:
     columns = np.stack([time, np.sin(TIMES), np.cos(TIMES), np.sin(TIMES)], axis=1)
-    np.savetxt(path, columns, delimiter=",", header=header, comments="")
+    np.savetxt(path, columns, delimiter=",", header="time,qpos,qvel,ctrl", comments="")
 
 
 def test_a_mistake_of_each_kind_is_one_line(refuse: Callable, tmp_path: Path, tiny: tuple[str, ...]) -> None:
@@ -95,11 +94,8 @@ def test_a_mistake_of_each_kind_is_one_line(refuse: Callable, tmp_path: Path, ti
     ("override", "fragments"),
     [
         ("data=twinn", ("no such data", "did you mean twin?")),
-        ("fit=adan", ("no such fit", "did you mean adam?")),
-        ("bench=nee", ("no such bench", "did you mean knee?")),
         ("sed=3", ("sed: unknown option", "did you mean seed?")),
         ("foo=1", ("foo: unknown option; expected one of bench,",)),  # which is near none
-        ("model.params.static_torque.inti=1", ("unknown option", "did you mean init?")),
         ("segments.count", ("segments.count", "missing EQUAL")),
     ],
 )
@@ -130,16 +126,10 @@ def test_a_job_needs_one_of_each_group(argument: str, names: str) -> None:
 @pytest.mark.parametrize(
     ("override", "fragments"),
     [
-        ("data.train=[cells.csv]", ("cells.csv", "4 cells", "expected 5 as in the header")),
-        ("data.train=[empty]", ("empty: no file in this folder",)),
         ("data={train: [garbage], format: csv}", ("garbage: byte", "not UTF-8", "CSV file")),
         ("data={train: [a.csv], test: [a.csv]}", ("in data.train and in data.test",)),
-        ("data={train: [a.csv], columns: {ctrl: [ctrl, ctrl]}}", ("ctrl has 2 columns, expected 1", "bench.joint")),
         ("evaluation.horizons=[9.0]", ("expected at least 9001 for a rollout of 9 s", "evaluation.horizons")),
         ("evaluation.window=0.0", ("evaluation.window=0", "more than 0 s")),
-        ("segments.length=0", ("segments.length=0", "1 or more")),
-        ("loss.position=-1.0", ("loss.position=-1", "at least 0")),
-        ("dtype=float16", ("dtype=float16", "float32 or float64")),
         ("device=gpu", ("device=gpu", "auto, cpu or cuda")),
         pytest.param("device=cuda", ("device=cuda: JAX finds none, expected a GPU",), marks=NO_GPU),
     ],
@@ -154,9 +144,7 @@ def test_a_problem_that_makes_no_sense_is_refused(
 ) -> None:
     """Where it is posed; `call` has gone to the test's folder."""
     write_log(tmp_path / "a.csv")
-    write_log(tmp_path / "cells.csv", HEADER + ",load")
     (tmp_path / "garbage").write_bytes(bytes(range(256)))
-    (tmp_path / "empty").mkdir()
     changed = OmegaConf.merge(settings, OmegaConf.from_dotlist([override]))
     with pytest.raises(FrictionzooError) as refused:
         pose_problem(OmegaConf.to_container(changed))
@@ -236,9 +224,7 @@ HARMFUL = identity(frictionzoo=__version__) | {"code": Bomb()}
     ("content", "fragment"),
     [
         pytest.param(b"garbage", "cannot be read", id="garbage"),
-        pytest.param(b"", "cannot be read", id="empty"),
         pytest.param({"state_dict": {}}, "cannot be read", id="of another program"),
-        pytest.param({"frictionzoo": {"identity": 3}}, "cannot be read", id="without identity"),
         pytest.param(identity(), "frictionzoo 0.0.0, expected", id="of another version"),
         pytest.param(HARMFUL, "cannot be read", id="with code"),
         pytest.param(pickle.dumps(HARMFUL), "cannot be read", id="with code, pickled"),
@@ -268,19 +254,12 @@ main()
 """
 
 
-@pytest.mark.parametrize(
-    ("argument", "line"),
-    [
-        ("model=coulomb_stribek", "model=coulomb_stribek: no such model; did you mean coulomb_stribeck?"),
-        ("seed=x", "seed=x; expected a whole number from 0 on"),
-    ],
-)
-def test_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path, argument: str, line: str) -> None:
+def test_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
-    command = [sys.executable, "-c", LIGHT, argument]
+    command = [sys.executable, "-c", LIGHT, "model=coulomb_stribek"]
     finished = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert finished.returncode == 2 and finished.stdout == "imported\n"
-    assert finished.stderr == error_line(finished.stderr) + "\n" and line in finished.stderr
+    assert finished.stderr == error_line(finished.stderr) + "\n" and "mean coulomb_stribeck?" in finished.stderr
     assert not [*tmp_path.iterdir()]
 
 
@@ -290,7 +269,6 @@ def test_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path, argument: s
         (None, ConfigError, False),
         (None, OutputError, True),  # the run goes on with its record
         (None, KeyboardInterrupt, True),
-        ("checkpoints/last.ckpt", ConfigError, False),
         (".hydra/mine.txt", ConfigError, False),
     ],
 )
@@ -310,12 +288,3 @@ def test_a_refused_run_leaves_no_folder_and_takes_nothing_along(
     assert others == ({folder / more} if more else set())
     assert folder.exists() == bool(left or more)
     assert (tmp_path / "outputs").exists()  # it was there before
-
-
-def test_the_record_of_a_run_that_is_refused_is_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / ".hydra" / "config.yaml"
-    with occupy(tmp_path, wait=False), recorded({path: b"before"}):
-        pass
-    with pytest.raises(ConfigError), occupy(tmp_path, wait=False), recorded({path: b"mistaken"}):
-        raise ConfigError("of today")
-    assert path.read_bytes() == b"before"

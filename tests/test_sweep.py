@@ -132,7 +132,7 @@ def fail() -> tuple[dict, None]:
 def test_an_unexpected_error_is_recorded_and_its_traceback_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    value = run_in_sweep(fail, tmp_path, "baseline", ["seed=3"], lambda error: None)
+    value = run_in_sweep(fail, tmp_path, "baseline", ["seed=3"])
     assert value == math.inf
     assert "Traceback" in caplog.text and "test_sweep.py" in caplog.text
     reason = "ZeroDivisionError: by zero"
@@ -149,11 +149,11 @@ def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> N
         write_atomically(tmp_path / "result.json", content.encode())
         return DONE, None
 
-    assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
-    assert run_in_sweep(succeed, tmp_path, "baseline", [], str) == 0.25
+    assert run_in_sweep(fail, tmp_path, "baseline", []) == math.inf
+    assert run_in_sweep(succeed, tmp_path, "baseline", []) == 0.25
     assert list_files(tmp_path) == ["result.json"]
     assert conclude_sweep(tmp_path)[2] == []
-    assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
+    assert run_in_sweep(fail, tmp_path, "baseline", []) == math.inf
     assert list_files(tmp_path) == ["failure.json"]
 
 
@@ -189,15 +189,15 @@ def test_a_finished_job_is_not_repeated(tmp_path: Path, changes: dict | None, re
     content = whole if changes is not None else whole[:-9]
     Manifest(tmp_path, "run").write("result.json", content.encode())
     settings = {"seed": 0, "bounds": [0.1, math.inf]}  # infinite is null in JSON
-    value = run_in_sweep(fail, tmp_path, "baseline", [], str, settings)
+    value = run_in_sweep(fail, tmp_path, "baseline", [], settings)
     assert value == (math.inf if repeated else 0.25)
     assert list_files(tmp_path) == ["failure.json" if repeated else "result.json"]
 
 
 def test_a_sweeper_is_told_infinity_where_a_rollout_diverged(tmp_path: Path) -> None:
     result = {"metrics": {"train": {"position_mae": 0.25, "diverged": 1}}}
-    assert run_in_sweep(lambda: (result, None), tmp_path, "baseline", [], str) == math.inf
-    assert run_in_sweep(lambda: (DONE, "fit diverged"), tmp_path, "baseline", [], str) == math.inf
+    assert run_in_sweep(lambda: (result, None), tmp_path, "baseline", []) == math.inf
+    assert run_in_sweep(lambda: (DONE, "fit diverged"), tmp_path, "baseline", []) == math.inf
     assert os.listdir(tmp_path) == []  # no failure.json: there is a result
 
 
@@ -205,7 +205,7 @@ def test_failures_come_in_the_order_of_jobs(tmp_path: Path) -> None:
     for number in (10, 9, 1):
         folder = tmp_path / f"{number}_baseline"
         folder.mkdir()
-        run_in_sweep(fail, folder, "baseline", [], str)
+        run_in_sweep(fail, folder, "baseline", [])
     complaints = conclude_sweep(tmp_path)[2]
     assert [line.partition(": ")[0] for line in complaints] == [f"{tmp_path}/{i}_baseline" for i in (1, 9, 10)]
 

@@ -5,7 +5,7 @@ import copy
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -57,70 +57,6 @@ def _naming_arguments() -> Iterator[None]:
             message = re.sub(rf"(?<![\w./\\-]){option}", argument, message)
         error.args = (message,)
         raise
-
-
-class Cut(TypedDict, total=False):
-    """Segments of the fit: arguments of `frictionzoo.core.segments.cut_segments`."""
-
-    count: int | None
-    length: int
-
-
-class Loss(TypedDict, total=False):
-    """Loss of the fit: arguments of `frictionzoo.fit.Objective`."""
-
-    position: float
-    velocity: float
-    robust: str
-    robust_scale: float
-    encoder_step: float
-    refine: bool
-    continuity: float
-    by_joint: bool
-    impulse: bool
-    slow: float
-
-
-class Judging(TypedDict, total=False):
-    """Evaluation rollouts: arguments of `frictionzoo.result.evaluate.Evaluation`."""
-
-    horizons: Sequence[float]
-    rollouts: int | None
-    placement: str
-    trajectory: float
-    window: float
-    places: int
-    local: float
-    seed: int
-    torque: Mapping[str, float | bool | None]
-
-
-class Looping(TypedDict, total=False):
-    """Fit loop: arguments of `frictionzoo.fit.run_fit`."""
-
-    chunk: int
-    patience: int | None
-    progress: bool
-
-
-class How(TypedDict, total=False):
-    """Options of `identify`, described there."""
-
-    test: float | Split | None
-    recipe: str
-    method: str | Fit
-    segments: Cut
-    loss: Loss
-    evaluation: Judging
-    loop: Looping
-    scale: Mapping[str, float]
-    checkup: str
-    discretisation: bool
-    seed: int
-    dtype: str | None
-    engine: str
-    device: str
-    compilation_cache: str | None
 
 
 @_naming_arguments()
@@ -190,10 +126,10 @@ def identify(
     test: float | Split | None = None,
     recipe: str = AUTO,
     method: str | Fit = "auto",
-    segments: Cut | None = None,
-    loss: Loss | None = None,
-    evaluation: Judging | None = None,
-    loop: Looping | None = None,
+    segments: Mapping[str, int | None] | None = None,
+    loss: Mapping[str, Any] | None = None,
+    evaluation: Mapping[str, Any] | None = None,
+    loop: Mapping[str, Any] | None = None,
     scale: Mapping[str, float] | None = None,
     checkup: str = "strict",
     discretisation: bool = True,
@@ -216,11 +152,10 @@ def identify(
             reasons. `given` takes them from the configuration, with the values of the paper, and the step from the
             MJCF.
         method: Name of a fit, such as `auto`, `lm`, `adam`, `grid` or `known`, or a `Fit` with options.
-        segments: Segments of the fit: `count` windows of `length` sample intervals.
-        loss: Loss of the fit: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`, `continuity`,
-            `by_joint` and others.
-        evaluation: Evaluation rollouts: `horizons` [s], `rollouts`, `placement`, `trajectory` [s] and others.
-        loop: `chunk`, `patience`, `progress`.
+        segments: Segments of the fit: arguments of `frictionzoo.core.segments.cut_segments`.
+        loss: Loss of the fit: arguments of `frictionzoo.fit.Objective`.
+        evaluation: Evaluation rollouts: arguments of `frictionzoo.result.evaluate.Evaluation`.
+        loop: Fit loop: arguments of `frictionzoo.fit.run_fit`.
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, by default 1 in SI units; bounds and
             initial values of a model given by name are multiples of them.
         checkup: `strict`; `warn` turns certain errors in the recordings or the bench into warnings of the result.
@@ -277,7 +212,7 @@ def compare(
     bench: Bench,
     laws: Sequence[str | FrictionModel | Mapping[str, Any]],
     logs: Logs | Log | Sequence[Log],
-    **how: Unpack[How],
+    **how: Any,
 ) -> Compared:
     """Identify a drive with several friction models, on the same recordings and evaluation rollouts.
 

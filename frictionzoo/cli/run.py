@@ -14,7 +14,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from frictionzoo.cli.explain import explain, missing_plugin
+from frictionzoo.cli.explain import missing_plugin
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, outlive_readers, stoppable
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.cli.resume import (
@@ -57,7 +57,7 @@ def _job(config: DictConfig) -> float:
         # Processes of a launcher have no other handler.
         outlive_readers()
         with stoppable():
-            return run_in_sweep(begin, folder, model, options, explain, finished, inside)
+            return run_in_sweep(begin, folder, model, options, finished, inside)
     is_named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)
     # Errors end here, because Hydra adds a line to an error that passes through it.
     with (

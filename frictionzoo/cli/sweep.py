@@ -15,6 +15,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
+from frictionzoo.cli.explain import explain
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.jobs import find_runs, read_failure, read_json
@@ -60,7 +61,6 @@ def run_in_sweep(
     folder: Path,
     model: str,
     overrides: Sequence[str],
-    explain: Callable[[Exception], str | None],
     finished: Mapping[str, Any] | None = None,
     inside: Collection[str] = (),
 ) -> float:
@@ -73,7 +73,6 @@ def run_in_sweep(
         folder: The job's folder.
         model: Name of the model.
         overrides: The job's options.
-        explain: Returns one line for an error that a user can cause, None for an unexpected one.
         finished: The job's settings, if an existing `result.json` with equal settings is to be kept; else None.
         inside: Subfolders that the job's logger writes.
 
