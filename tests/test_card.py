@@ -27,6 +27,7 @@ from frictionzoo.cli.finished import compare
 from frictionzoo.core.anonymous import find_paths, list_paths, without_paths
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError
+from frictionzoo.core.jobs import find_runs
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.output import RESULT, TEMPLATE
 from frictionzoo.report.card import FILES, PAGE, PICTURE, describe_bench, write_card, write_template
@@ -195,12 +196,13 @@ def test_what_needs_recordings_says_that_a_card_has_none(card: Path, tmp_path: P
     assert not [*tmp_path.iterdir()]
 
 
-def test_a_comparison_of_a_sweep_leaves_cards_out(run: Path, card: Path, tmp_path: Path) -> None:
-    shutil.copytree(run, tmp_path / "sweep" / "0")
+def test_a_comparison_leaves_cards_in_a_sweep_out_and_refuses_one_by_name(card: Path, tmp_path: Path) -> None:
+    (tmp_path / "sweep" / "0").mkdir(parents=True)
+    (tmp_path / "sweep" / "0" / RESULT).touch()
     shutil.copytree(card, tmp_path / "sweep" / "0" / "card")
-    done = finish(lambda: compare([str(tmp_path / "sweep"), "--output", str(tmp_path / "comparison")]))
-    assert done.status == 0 and "1 run" in done.out, done.err
-    assert finish(lambda: compare([str(card), "--output", str(tmp_path / "of card")])).status == 2
+    assert find_runs(tmp_path / "sweep") == [tmp_path / "sweep" / "0"]
+    done = finish(lambda: compare([str(card), "--output", str(tmp_path / "comparison")]))
+    assert done.status == 2 and f"{card}: a card without recordings" in done.err
 
 
 def test_a_robot_needs_its_own_file_no_more(tmp_path: Path) -> None:
@@ -338,7 +340,7 @@ def test_nothing_but_laws_is_built(own: Path, target: str, place: str) -> None:
         ({"license": "mit"}, ConfigError, r"^license: unknown option; did you mean licence\?"),
         (LICENCE | {"output": "taken"}, OutputError, r"^taken/README\.md: not written by this program"),
         (LICENCE | {"output": "taken/README.md/card"}, OutputError, "set output to a folder that can be written$"),
-        (LICENCE | {"output": "run"}, OutputError, r"^run/result\.json: not written by this"),
+        (LICENCE | {"output": "run"}, OutputError, r"^run/result\.json: written by another command"),
     ],
 )
 def test_what_cannot_be_written_leaves_nothing(
