@@ -4,8 +4,9 @@ import argparse
 import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from frictionzoo.cli.mistakes import fail, mistakes_in_one_line
+from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.telling import Parser, say, tell
 
@@ -56,17 +57,16 @@ _HELP = {
 """Help of each command: main option, description, and further options."""
 
 
-def card(arguments: Sequence[str] | None = None) -> None:
-    """Publish a run's drive as a card; `arguments` of every command default to `sys.argv`."""
-    parsed = parse("card", arguments)
-    with _checked([parsed.folder], parsed.options, "licence=cc-by-4.0") as options:
+def card(arguments: Sequence[str]) -> None:
+    """Publish a run's drive as a card."""
+    with _checked("card", arguments, "licence=cc-by-4.0") as (folder, options):
         from frictionzoo.report.card import write_card
 
-        place, warnings = write_card(parsed.folder, options)
+        place, warnings = write_card(folder, options)
         say("\n".join([*(f"warning: {line}" for line in warnings), f"files: {place}"]))
 
 
-def compare(arguments: Sequence[str] | None = None) -> None:
+def compare(arguments: Sequence[str]) -> None:
     """Compare finished runs."""
     parsed = parse("compare", arguments)
     output = parsed.output or (parsed.folders[0] if len(parsed.folders) == 1 else Path()) / "comparison"
@@ -83,45 +83,59 @@ def compare(arguments: Sequence[str] | None = None) -> None:
         say(summarise_comparison(write_comparison(parsed.folders, output), output))
 
 
-def design(arguments: Sequence[str] | None = None) -> None:
+def design(arguments: Sequence[str]) -> None:
     """Design the next recording, of a run's drive or of the initial values."""
-    parsed = parse("design", arguments)
-    runs = [text for text in parsed.options if "=" not in text]
-    if len(runs) > 1:
-        fail(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
-    with _checked([*map(Path, runs)], [text for text in parsed.options if "=" in text], "velocity=4") as options:
+    with _checked("design", arguments, "velocity=4") as (run, options):
         from frictionzoo.api.design import design_recording
         from frictionzoo.core.output import refuse_existing
         from frictionzoo.report.terminal import summarise_excitation
         from frictionzoo.result.fitted_drive import FittedDrive
 
-        run = FittedDrive.load(Path(runs[0])) if runs else None
-        folder = Path(options.pop("output", Path(*runs) / "excitation"))
+        folder = Path(options.pop("output", (run or Path()) / "excitation"))
         refuse_existing(folder)  # before the search
-        excitation = design_recording(options, run)
+        excitation = design_recording(options, FittedDrive.load(run) if run else None)
         excitation.save(folder)
         say(summarise_excitation(excitation.note, folder))
 
 
-def distill(arguments: Sequence[str] | None = None) -> None:
+def distill(arguments: Sequence[str]) -> None:
     """Fit a simpler model to a run's drive."""
-    parsed = parse("distill", arguments)
-    with _checked([parsed.folder], parsed.options, "model=stribeck") as options:
+    with _checked("distill", arguments, "model=stribeck") as (folder, options):
         from frictionzoo.cli.student import distill
 
-        distill(parsed.folder, options)
+        distill(folder, options)
 
 
-def export(arguments: Sequence[str] | None = None) -> None:
+def export(arguments: Sequence[str]) -> None:
     """Export a run's drive to another program."""
-    parsed = parse("export", arguments)
-    with _checked([parsed.folder], parsed.options, "target=mjcf") as options:
+    with _checked("export", arguments, "target=mjcf") as (folder, options):
         from frictionzoo.export.write import summarise_exports, write_exports
 
-        say(summarise_exports(write_exports(parsed.folder, options)))
+        say(summarise_exports(write_exports(folder, options)))
 
 
-def parse(name: str, arguments: Sequence[str] | None) -> argparse.Namespace:
+@contextlib.contextmanager
+def _checked(name: str, arguments: Sequence[str], example: str) -> Iterator[tuple[Any, dict[str, str]]]:
+    """Yield the folder of the run (of a design, None without one) and the options of a command.
+
+    Refuse wrong options and an unfinished run before slow imports; a user's mistake gives one line and status 2.
+    """
+    parsed = parse(name, arguments)
+    with mistakes_in_one_line():
+        runs = [text for text in parsed.options if "=" not in text] if name == "design" else [parsed.folder]
+        if len(runs) > 1:
+            raise ConfigError(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
+        options = read_options([text for text in parsed.options if text not in runs], example)
+        # Imported late: neither --help nor a mistake waits for torch and JAX.
+        from frictionzoo.core.jobs import refuse_unfinished
+
+        for run in runs:
+            refuse_unfinished(Path(run))
+        tell("loading torch and JAX")
+        yield Path(runs[0]) if runs else None, options
+
+
+def parse(name: str, arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the arguments of a command."""
     option, description, epilog = _HELP[name]
     usage = "python -m frictionzoo.design [RUN] KEY=VALUE ..." if name == "design" else None
@@ -137,20 +151,6 @@ def parse(name: str, arguments: Sequence[str] | None) -> argparse.Namespace:
     count = "+" if name == "design" else "*"
     parser.add_argument("options", metavar="KEY=VALUE", nargs=count, help=f"{option}, and other options")
     return parser.parse_args(arguments)
-
-
-@contextlib.contextmanager
-def _checked(runs: Sequence[Path], texts: Sequence[str], example: str) -> Iterator[dict[str, str]]:
-    """Read options and refuse unfinished runs before slow imports; a user's mistake gives one line and status 2."""
-    with mistakes_in_one_line():
-        options = read_options(texts, example)
-        # Imported late: neither --help nor a mistake waits for torch and JAX.
-        from frictionzoo.core.jobs import refuse_unfinished
-
-        for run in runs:
-            refuse_unfinished(run)
-        tell("loading torch and JAX")
-        yield options
 
 
 def read_options(texts: Sequence[str], example: str) -> dict[str, str]:
