@@ -165,7 +165,7 @@ def _pick_inputs(
         elif name == "ctrl_velocity":
             continue  # the derivative of the command
         elif run is not None:
-            constants[name] = np.median(run.segments.signals.inputs[name], axis=(0, 1))
+            constants[name] = np.median(run.recorded.signals.inputs[name], axis=(0, 1))
         elif name in law.optional_inputs:
             constants[name] = np.full(bench.nv, law.optional_inputs[name])
         else:

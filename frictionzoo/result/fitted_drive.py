@@ -49,7 +49,7 @@ class FittedDrive:
             in float64. Shape: (nv,) for the bench, the `state_dict`'s for the friction model.
         segments: Long test rollouts: measured states and driving signals; empty for a drive from a card.
         sampling: Conversion of their samples to simulation steps.
-        curves: Data of the figures; empty for a drive from a card.
+        curves: Data of the figures; without rollouts for a drive from a card.
         complaint: One line if the fit diverged; None otherwise.
         fitted: Minimised loss with the training data; None for a drive read from a folder.
         origin: Drive that this one represents in a simulator (see `at`); None: this drive is the original.
