@@ -4,7 +4,7 @@ import contextlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
@@ -34,19 +34,16 @@ class Begun(NamedTuple):
         settings: All options, resolved.
     """
 
-    choices: Mapping[str, str]
+    choices: Mapping[str, str | None]
     options: Sequence[str]
     settings: Mapping[str, Any]
 
-    @classmethod
-    def of(cls, choices: Mapping[str, str | None], options: Sequence[str], settings: Mapping[str, Any]) -> "Begun":
-        """Return the request for a job, from Hydra's choices and overrides."""
-        named = {group: name for group, name in choices.items() if group in GROUPS and name in list_choices(group)}
-        return cls(cast(Mapping[str, str], named), list(options), settings)
-
     def save(self, folder: Path) -> None:
-        """Write `SETTINGS` into a run's folder; OutputError if it cannot be written."""
-        write_json(folder / SETTINGS, to_json(self._asdict()))
+        """Write `SETTINGS` into a run's folder, without Hydra's choices; OutputError if it cannot be written."""
+        chosen = {
+            group: name for group, name in self.choices.items() if group in GROUPS and name in list_choices(group)
+        }
+        write_json(folder / SETTINGS, to_json({**self._asdict(), "choices": chosen, "options": list(self.options)}))
 
     @classmethod
     def read(cls, folder: Path) -> "Begun":
@@ -64,19 +61,16 @@ class Begun(NamedTuple):
             saved = read_json(path)
         except RunError as error:
             raise ConfigError(f"resume={folder}: {error}") from None
-        begun = cls(*(saved.get(name) for name in cls._fields))  # type: ignore[arg-type]
-        begun._refuse_invalid(path)
-        return begun
-
-    def _refuse_invalid(self, path: Path) -> None:
-        texts = [*self.options] if isinstance(self.options, list) else [None]
-        sections = isinstance(self.choices, dict) and isinstance(self.settings, dict)
+        choices, options, settings = (saved.get(name) for name in cls._fields)
+        texts = options if isinstance(options, list) else [None]
+        sections = isinstance(choices, dict) and isinstance(settings, dict)
         if not sections or not all(isinstance(text, str) and not _OF_HYDRA.match(text) for text in texts):
             raise ConfigError(f"{path}: expected choices, options and settings; name a run that this program made")
-        for group, name in self.choices.items():
+        for group, name in choices.items():
             valid_names = list_choices(group) if group in GROUPS else []
             if name not in valid_names:
                 raise ConfigError(f"{path}: {group}={name}: no such {group}; {closest(str(name), valid_names)}")
+        return cls(choices, texts, settings)
 
 
 def restore_overrides(arguments: Sequence[str]) -> list[str]:

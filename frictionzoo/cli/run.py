@@ -86,7 +86,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
     limit_threads(config.threads if alone else threads_each(config.threads))
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     if not goes_on:
-        Begun.of(choices, options, settings).save(folder)
+        Begun(choices, options, settings).save(folder)
     model = choices["model"]
     tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
     build(settings["data"], Source).find()
