@@ -162,7 +162,7 @@ def write_template(bench: Bench) -> str:
         RunError: It refers to other files, which a card cannot contain.
     """
     text = bench.template()
-    if name := find_reference(text.encode()):
+    if name := find_reference(text):
         raise RunError(f"{bench.source}: it refers to the file {name}, expected a test stand in one file; remove it")
     return text
 

@@ -99,7 +99,11 @@ def open_card(folder: Path, content: dict[str, Any]) -> None:
     if target != BENCH:
         raise RunError(f"{folder / RESULT}: settings.bench: _target_={target}, expected {BENCH}; get the card again")
     path = folder / TEMPLATE
-    if name := find_reference(_read(path)):
+    try:
+        name = find_reference(_read(path).decode())
+    except UnicodeDecodeError:
+        raise RunError(f"{path}: not UTF-8; expected the MJCF of a card; get the card again") from None
+    if name:
         raise RunError(f"{path}: it refers to {name}, expected one file; this card cannot be loaded")
     content["settings"] = {**content["settings"], "bench": {**bench, "mjcf": str(path)}}
 
@@ -110,12 +114,12 @@ def hash_record(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def find_reference(mjcf: bytes) -> str | None:
-    """Return a reference of an MJCF to a file or to code; None if there is none, or if it is not XML."""
+def find_reference(mjcf: str) -> str | None:
+    """Return a reference of an MJCF to a file or to code; None if there is none."""
     try:
         root = ET.fromstring(mjcf)
-    except (ET.ParseError, LookupError, ValueError):
-        return None  # the bench reports the error
+    except ET.ParseError:
+        return None  # the bench reports the syntax error
     for element in root.iter():
         if element.tag in ("include", "extension", "plugin"):
             return f"<{element.tag}>"
@@ -128,5 +132,6 @@ def find_reference(mjcf: bytes) -> str | None:
 def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror}; expected the file of a card; get the card again") from None
+    except (OSError, ValueError) as error:  # ValueError: no name that a file can have
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RunError(f"{path}: {reason}; expected the file of a card; get the card again") from None
