@@ -39,26 +39,20 @@ def fetch_card(name: str) -> Path:
 
 def _fetch(name: str, repository: str, file: str, revision: str | None) -> Path:
     # Imported here: an optional dependency.
-    from huggingface_hub import hf_hub_download
-    from huggingface_hub.errors import (
-        EntryNotFoundError,
-        LocalEntryNotFoundError,
-        RepositoryNotFoundError,
-        RevisionNotFoundError,
-    )
+    from huggingface_hub import errors, hf_hub_download
 
+    problems = {
+        errors.RepositoryNotFoundError: f"no such public repository; expected {PREFIX}OWNER/NAME",
+        errors.RevisionNotFoundError: "no such revision; expected a branch, tag or commit of the repository",
+        errors.LocalEntryNotFoundError: f"the hub does not answer, and {file} is not cached; try again later",
+        errors.EntryNotFoundError: f"no {file}, expected a card; name another repository",
+    }
     try:
         return Path(hf_hub_download(repository, file, revision=revision))
-    except RepositoryNotFoundError:
-        raise RunError(f"{name}: no such public repository; expected {PREFIX}OWNER/NAME") from None
-    except RevisionNotFoundError:
-        raise RunError(f"{name}: no such revision; expected a branch, tag or commit of the repository") from None
-    except LocalEntryNotFoundError:
-        raise RunError(f"{name}: the hub does not answer, and {file} is not cached; try again later") from None
-    except EntryNotFoundError:
-        raise RunError(f"{name}: no {file}, expected a card; name another repository") from None
-    except (OSError, RuntimeError) as error:
-        raise RunError(f"{name}: {' '.join(str(error).split())[:200]}; try again later") from None
+    except (OSError, RuntimeError, *problems) as error:
+        other = f"{' '.join(str(error).split())[:200]}; try again later"
+        problem = next((text for kind, text in problems.items() if isinstance(error, kind)), other)
+        raise RunError(f"{name}: {problem}") from None
 
 
 def _list_files(path: Path) -> list[str]:
