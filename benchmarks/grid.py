@@ -116,7 +116,7 @@ def search_with_package(model: str, *overrides: str) -> dict[str, Any]:
     """Run a fit of this package and return its row.
 
     Args:
-        model: File in conf/model.
+        model: Friction model.
         overrides: Overrides of the configuration.
     """
     problem = pose(f"model={model}", *overrides)

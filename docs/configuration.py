@@ -10,8 +10,9 @@ import yaml
 HEAD = """# Configuration
 
 Every option of the command line, made from the files in `conf/`. A group's file is chosen as `GROUP=FILE`, an option is
-set as `OPTION=VALUE`; `python -m frictionzoo.run --cfg job` shows all values of a job. `${...}` takes a value from
-elsewhere: `${scale.torque}` is the option `scale.torque`, `${mul:a,b}` a product, `${div:a,b}` a quotient.
+set as `OPTION=VALUE`; `python -m frictionzoo.run --cfg job` shows all values of a job. The options of a friction model
+are in [its section](models.md). `${...}` takes a value from elsewhere: `${scale.torque}` is the option `scale.torque`,
+`${mul:a,b}` a product, `${div:a,b}` a quotient.
 """
 PACKAGE = re.compile(r"# @package (\S+)")
 COMMAND = re.compile(r"^ *(python -m frictionzoo\.run .*)$")

@@ -7,7 +7,8 @@ from pathlib import Path
 import yaml
 from equations import to_fences
 
-from frictionzoo.core.config import CONF_DIR
+from frictionzoo.core.config import CONF_DIR, list_choices
+from frictionzoo.core.declared import section_of
 from frictionzoo.core.registry import KINDS
 from frictionzoo.models import FrictionModel, get_model
 from frictionzoo.models.by_joint import ByJoint
@@ -36,7 +37,7 @@ def render_models(text: str) -> str:
     Args:
         text: The page, with a pair of comments around the table and around the sections.
     """
-    for part, content in (("table", table_of_laws()), ("sections", "\n\n".join(map(section_of, choices())))):
+    for part, content in (("table", table_of_laws()), ("sections", "\n\n".join(map(describe, choices())))):
         pattern = rf"(<!-- {part} [^\n]*-->\n).*?(\n<!-- end of {part} -->)"
         text, count = re.subn(pattern, lambda match: f"{match[1]}\n{content}\n{match[2]}", text, flags=re.S)  # noqa: B023
         assert count == 1, part
@@ -71,13 +72,40 @@ def table_of_laws() -> str:
 
 def choices() -> list[str]:
     """Return every choice of `model=`: friction models, and configurations that choose more than a model."""
-    return sorted(path.stem for path in (CONF_DIR / "model").glob("*.yaml"))
+    return list_choices("model")
 
 
-def section_of(name: str) -> str:
+def describe(name: str) -> str:
     """Describe a choice of `model=` by the docstring of its model, or by the head comment of its configuration."""
     text = to_markdown(_law(name).__doc__ or "", typeset=to_fences) if _is_law(name) else _header(name)
-    return f"## `{name}`\n\n{text}\n\nOptions: [`conf/model/{name}.yaml`](../conf/model/{name}.yaml)"
+    return f"## `{name}`\n\n{text}\n\n{_options(name)}"
+
+
+def _options(name: str) -> str:
+    """Return a table of a model's options with their defaults, or a link to its file."""
+    if (CONF_DIR / "model" / f"{name}.yaml").exists():
+        return f"Options: [`conf/model/{name}.yaml`](../conf/model/{name}.yaml)"
+    section = section_of(_law(name))
+    params = section.pop("params", {}).items()
+    rows = [(f"`model.{option}`", f"`{value}`", "", "") for option, value in section.items() if option != "_target_"]
+    for parameter, entries in params:
+        start, low, high = (
+            _plain(entries[key]) for key in ("default" if "default" in entries else "init", "low", "high")
+        )
+        notes = ["the robot's file has precedence"] if "default" in entries else []
+        notes += [] if entries["identify"] else ["fixed"]
+        rows.append((f"`model.params.{parameter}`", start, f"{low.partition(' ')[0]} to {high}", ", ".join(notes)))
+    return _tabulate(("option", "initial value", "bounds", ""), rows).rstrip() if rows else "No options."
+
+
+def _plain(value: str | float) -> str:
+    """Return a value of a configuration without its references: `3 / velocity` for a quotient."""
+    text = re.sub(r"\$\{scale\.(\w+)\}", r"\1", f"{value:g}" if isinstance(value, float) else str(value))
+    for _ in range(3):  # innermost first
+        text = re.sub(r"\$\{mul:(velocity),velocity\}", r"\1^2", text)
+        text = re.sub(r"\$\{mul:([^{},]*),([^{},]*)\}", r"\1 \2", text)
+        text = re.sub(r"\$\{div:([^{},]*),([^{},]*)\}", r"\1 / \2", text)
+    return text
 
 
 def _is_law(name: str) -> bool:

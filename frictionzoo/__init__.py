@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from frictionzoo.bench.base import Bench
     from frictionzoo.bench.robot import Robot
     from frictionzoo.core.log import Log
-    from frictionzoo.core.params import Param
+    from frictionzoo.core.params import Param, Parameter
     from frictionzoo.core.state import DriveState, FrictionTerms
     from frictionzoo.data.clean import Cleaning
     from frictionzoo.data.logs import Logs
@@ -42,6 +42,7 @@ __all__ = [
     "Log",
     "Logs",
     "Param",
+    "Parameter",
     "PositionPD",
     "RecordedPD",
     "Robot",
@@ -71,7 +72,7 @@ _HOMES = {
     "Identified": "frictionzoo.api.identified",
     "Log": "frictionzoo.core.log",
     "Logs": "frictionzoo.data.logs",
-    "Param": "frictionzoo.core.params",
+    **dict.fromkeys(("Param", "Parameter"), "frictionzoo.core.params"),
     "Split": "frictionzoo.data.split",
     "design_recording": "frictionzoo.api.design",
     "check_model": "frictionzoo.models.contract",

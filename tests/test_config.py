@@ -23,6 +23,7 @@ from frictionzoo.core.config import (
     check_overrides,
     compose_config,
     create_literal,
+    list_choices,
     list_options,
 )
 from frictionzoo.core.described import describe
@@ -32,23 +33,13 @@ from frictionzoo.data.clean import Cleaning
 from frictionzoo.data.files import Files
 from frictionzoo.data.split import Split
 from frictionzoo.fit import Grid, Objective, loggers, run_fit
-from frictionzoo.models import (
-    Baseline,
-    DissipativeNetwork,
-    HistoryNetwork,
-    MaxwellSlip,
-    NeuralFriction,
-    OddNetwork,
-    TemperatureArrhenius,
-    TemperatureLinear,
-    registry,
-)
+from frictionzoo.models import Baseline, registry
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
 
 METHODS = {"adam": "Adam", "lm": "LevenbergMarquardt", "auto": "Auto", "grid": "Grid"}
 HOMES = {"model": "models", "bench": "bench", "fit": "fit", "logger": "fit"}  # where the classes of a group are
-CHOICES = {group: sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml")) for group in (*HOMES, "data")}
+CHOICES = {group: list_choices(group) for group in (*HOMES, "data")}
 EXPERIMENTS = sorted((CONF_DIR / "experiment").glob("*.yaml"))
 VARIANTS = [
     (experiment.stem, model)
@@ -85,11 +76,9 @@ def test_every_choice_composes_resolves_and_builds(number: int, monkeypatch: pyt
         assert type(part).__module__.startswith(f"frictionzoo.{home}")
 
 
-LAWS = (DissipativeNetwork, HistoryNetwork, MaxwellSlip, NeuralFriction, OddNetwork, TemperatureLinear)
 DEFAULTS = {  # what Python takes where nothing is said, by the choice and the section that say it for the command line
     **{f"fit={name}": getattr(fit, cls) for name, cls in METHODS.items()},
     **{f"logger={name}": getattr(loggers, name.capitalize()) for name in ("wandb", "mlflow")},
-    **{f"model={law.name}": law for law in (*LAWS, TemperatureArrhenius)},
     "data=files": Files,
     "data=files clean": Cleaning,
     "data=files split": Split,

@@ -20,7 +20,7 @@ from frictionzoo.cli import run
 from frictionzoo.cli.commands import _INSPECT, _MODULES, COMMANDS, HELP, dispatch, main
 from frictionzoo.cli.finished import parse, read_options
 from frictionzoo.cli.inspect import _name_files
-from frictionzoo.core.config import CONF_DIR
+from frictionzoo.core.config import is_choice
 from frictionzoo.export.base import target_names
 
 HEAVY = {"hydra", "omegaconf", "numpy", "torch", "jax", "mujoco", "scipy"}
@@ -118,7 +118,7 @@ def check_example(name: str, *rest: str) -> None:
     parsed = list_command._parse([*rest]) if name == "list" else parse(name, rest)
     options = read_options([text for text in getattr(parsed, "options", []) if "=" in text], "KEY=VALUE")
     assert options.get("target", "mjcf") in target_names()
-    assert (CONF_DIR / "model" / f"{options.get('model', 'lugre')}.yaml").exists()
+    assert is_choice("model", options.get("model", "lugre"))
 
 
 def test_an_example_is_true_and_there_is_one_of_each_command() -> None:

@@ -114,15 +114,6 @@ def test_it_starts_near_zero_with_time_constants_over_the_whole_range():
     assert times.tolist() == pytest.approx([2 * 1e-3**share for share in (0.125, 0.375, 0.625, 0.875)])
 
 
-def test_it_depends_on_its_seed_alone():
-    torch.manual_seed(1)
-    before = torch.get_rng_state()
-    first, again, other = (HistoryNetwork(1, [8], 2, TIMES, seed) for seed in (3, 3, 4))
-    assert torch.equal(before, torch.get_rng_state())
-    assert all(torch.equal(weights, again.get_parameter(name)) for name, weights in first.named_parameters())
-    assert not torch.equal(first.layers[0].weight, other.layers[0].weight)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -1,4 +1,4 @@
-"""Every friction law of this package, built from its YAML."""
+"""Every friction law of this package, with the values of its class for a bench."""
 
 import math
 from functools import cache
@@ -12,7 +12,8 @@ from omegaconf import OmegaConf
 
 from frictionzoo.bench.base import DEFAULTS
 from frictionzoo.core.build import build
-from frictionzoo.core.config import compose_config
+from frictionzoo.core.config import compose_config, list_choices
+from frictionzoo.core.declared import section_of
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
@@ -32,7 +33,7 @@ compose_once = cache(compose_config)
 
 
 @cache
-def section_of(name: str, bench: str) -> Any:
+def resolved(name: str, bench: str) -> Any:
     """A law's section for a bench; it follows from the bench's scale and the seed alone."""
     law, config = OmegaConf.to_container(compose_once(f"model={name}").model), compose_once(f"bench={bench}")
     whole = OmegaConf.create({"scale": config.scale, "seed": config.seed, "model": law})
@@ -40,8 +41,8 @@ def section_of(name: str, bench: str) -> Any:
 
 
 def make_law(name: str, nv: int = 1, bench: str = "knee") -> FrictionModel:
-    """Builds a law from its YAML."""
-    return build(section_of(name, bench), nv=nv)
+    """Builds a law as a configuration does."""
+    return build(resolved(name, bench), nv=nv)
 
 
 def random_state(*shape: int, seed: int = 0) -> DriveState:
@@ -67,8 +68,13 @@ def total(terms: FrictionTerms):
     return sum(((1 + index) * term).sin().sum() for index, term in enumerate(terms) if term is not None)
 
 
-def test_every_yaml_is_tested():
-    assert {path.stem for path in (CONF / "model").glob("*.yaml")} == {*OURS, "mujoco_grid_search"}
+def test_every_choice_is_a_law_whose_options_are_those_of_its_class():
+    """The command line reads them from the class's file."""
+    assert {*list_choices("model")} == {*OURS, "mujoco_grid_search"}
+    for name in [name for name in OURS if name != "by_joint"]:  # whose file has its option
+        read = OmegaConf.to_container(compose_once(f"model={name}").model, resolve=False)
+        declared = OmegaConf.to_container(OmegaConf.create(section_of(get_model(name))))
+        assert read | {"_target_": ""} == declared | {"_target_": ""}, name
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -189,15 +195,6 @@ def test_coulomb_stribeck_known_values():
     assert terms.torque.flatten().tolist() == pytest.approx(expected, abs=1e-8)
 
 
-def test_static_friction_is_felt_before_kinetic():
-    """The published formula, which swaps the two, would rise with speed instead."""
-    model = make_law("coulomb_stribeck")
-    values = {name: param.init for name, param in model.params.items()} | {"viscous_coefficient": 0.0}
-    slow, fast = friction(model, [0.03, 1.0], **values).torque.flatten().tolist()
-    assert slow > 1.3 * fast
-    assert fast == pytest.approx(values["kinetic_torque"])
-
-
 FALLS = {"frictionloss": 0.3, "damping": 0.07, "stribeck_torque": 0.2, "stribeck_velocity": 0.1}
 SIDES = {
     **{"load_friction_motor": 0.1, "load_friction_external": 0.3},
@@ -214,13 +211,6 @@ def test_stribeck_known_values(motor, external):
     assert terms.torque is None and terms.damping.item() == 0.07
     # The share at rest is exp(-1e-9) with this exponent.
     assert terms.frictionloss.flatten().tolist() == pytest.approx([0.3 + 0.2 * s for s in SHARES], abs=1e-9)
-
-
-@pytest.mark.parametrize("exponent, shares", [(1.0, [0.60653066, 0.13533528]), (10.0, [0.99902391, 0.0])])
-def test_the_stribeck_exponent_shapes_the_fall(exponent, shares):
-    """At half the Stribeck velocity and at twice: exp(-0.5) and exp(-2), exp(-0.5^10) and exp(-2^10)."""
-    limit = friction(make_law("stribeck"), [0.05, -0.2], **FALLS, stribeck_exponent=exponent).frictionloss
-    assert limit.flatten().tolist() == pytest.approx([0.3 + 0.2 * share for share in shares], abs=1e-8)
 
 
 def test_a_stribeck_law_stays_finite_at_any_speed():
@@ -291,38 +281,6 @@ def test_directional_and_quadratic_known_values(motor, external, always, at_rest
         assert limit.flatten().tolist() == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("larger", "smaller", "values"),
-    [
-        ("stribeck", "mujoco_default", {"stribeck_torque": 0.0}),
-        ("load_dependent", "mujoco_default", {"load_friction": 0.0}),
-        ("stribeck_load_dependent", "stribeck", {"load_friction": 0.0, "stribeck_load_friction": 0.0}),
-        ("stribeck_load_dependent", "load_dependent", {"stribeck_torque": 0.0, "stribeck_load_friction": 0.0}),
-        (
-            "directional",
-            "stribeck_load_dependent",
-            {
-                **{"load_friction_motor": 0.1, "load_friction_external": 0.1},
-                **{"stribeck_load_friction_motor": 0.05, "stribeck_load_friction_external": 0.05},
-            },
-        ),
-        ("quadratic", "directional", dict.fromkeys(SQUARES, 0.0)),
-    ],
-)
-def test_a_larger_law_holds_the_smaller(larger, smaller, values):
-    general, special, state = make_law(larger), make_law(smaller), random_state(200, 1)
-    common = {"load_friction": 0.1, "stribeck_load_friction": 0.05}
-    terms = []
-    for model, own in ((special, {}), (general, values)):
-        chosen = {name: param.init for name, param in model.params.items()} | common | own
-        given = {name: torch.tensor([value], dtype=torch.float64) for name, value in chosen.items()}
-        terms.append(model.terms(torch, given, in_torch(state)))
-    ours, theirs = (torch.broadcast_to(term.frictionloss, (200, 1)) for term in terms)
-    # Rounding: the larger law adds more terms.
-    torch.testing.assert_close(ours, theirs, rtol=1e-14, atol=0.0)
-    assert torch.equal(terms[0].damping, terms[1].damping)
-
-
 def test_neural_friction_known_values():
     model = NeuralFriction(nv=1, hidden=[2], seed=0)
     model.load_state_dict(
@@ -342,23 +300,10 @@ def test_neural_friction_known_values():
     assert model(state).torque.item() == pytest.approx(30.0)
 
 
-def test_neural_friction_has_the_shape_of_its_yaml():
-    shapes = [tuple(weights.shape) for weights in make_law("neural_friction").parameters()]
-    assert shapes == [(64, 4), (64,), (64, 64), (64,), (1, 64), (1,)]
-    assert {weights.dtype for weights in make_law("neural_friction").parameters()} == {torch.float64}
-
-
 def test_a_law_takes_values_that_are_known_as_plain_numbers():
     law = get_model("coulomb_smooth")(1, {"static_torque": 0.5, "smoothing": 10, "viscous_coefficient": 0})
     assert [float(value) for value in law.parameters()] == [0.5, 10.0, 0.0]
     assert not any(param.identify for param in law.params.values())
-
-
-def test_neural_friction_starts_near_zero():
-    model, state = make_law("neural_friction"), random_state(200, 1)
-    model.prepare(state)
-    torque = model(in_torch(state)).torque
-    assert 0 < torque.abs().max() < 0.02 * np.std(state.motor_torque)
 
 
 def test_neural_friction_depends_on_its_seed_alone():

@@ -19,12 +19,14 @@ from frictionzoo.cli.explain import explain
 from frictionzoo.cli.overrides import refuse_no_choice
 from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.build import build
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options, read_value
+from frictionzoo.core.config import check_overrides, compose_config, list_options, read_value
+from frictionzoo.core.declared import section_of
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
 from frictionzoo.identification import problem
+from frictionzoo.models import get_model, model_names
 from frictionzoo.simulation.proof import Proof
 
 VALUES = (float("nan"), float("inf"), None, "", 0, -1, 1e9, "absurd", [])
@@ -195,11 +197,7 @@ def test_an_option_that_a_model_lacks_is_refused(call: Callable, tmp_path: Path,
 
 
 ALIKE = ("delay", "static_torque")  # parameters that stand for all
-LAWS = [  # those with other options than parameters
-    path.stem
-    for path in sorted((CONF_DIR / "model").glob("*.yaml"))
-    if {*OmegaConf.load(path)} - {"defaults", "_target_", "params", "model", "bench"}
-]
+LAWS = [name for name in model_names() if {*section_of(get_model(name))} - {"_target_", "params"}]
 SIMULATED = ("data.samples=800", "data.substeps=2", "data.split.gap=0.05", "data.split.test_share=0.3")
 PROBLEMS = [  # what is chosen, and what the keys begin with whose turn it is
     (("data=files",), ""),

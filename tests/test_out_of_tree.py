@@ -16,6 +16,7 @@ import pytest
 from conftest import Finished
 from pages import PACKAGE, ROOT, blocks_of
 
+from frictionzoo.core.config import list_choices
 from frictionzoo.models import model_names
 
 INSTALL, CHECK, RUN, COMPARE, TORCH = COMMANDS = blocks_of(PACKAGE / "README.md")
@@ -110,7 +111,7 @@ def test_its_laws_are_laws_like_any_other(command: Command, tiny: tuple[str, ...
     assert (run / "export" / "torchscript" / "friction.pt").exists()
 
     names = {path.parent.name.partition("_")[2] for path in jobs.glob("*/failure.json")}
-    assert names == {"makkar", "layer_norm_network", *(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))}
+    assert names == {"makkar", "layer_norm_network", *list_choices("model")}
     (line,) = unknown.err.splitlines()
     assert line.startswith("frictionzoo: model=makka: no such model; did you mean makkar? (")
     assert (listed.status, unknown.status) == (2, 2)
@@ -134,5 +135,4 @@ def test_without_the_package_its_name_is_refused(call: Callable[..., Finished]) 
     finished = call(*shlex.split(RUN)[3:])
     assert (finished.status, finished.out) == (2, "")
     (line,) = finished.err.splitlines()
-    ours = sorted(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))
-    assert line == f"frictionzoo: model=makkar: no such model; expected one of {', '.join(ours)}"
+    assert line == f"frictionzoo: model=makkar: no such model; expected one of {', '.join(list_choices('model'))}"

@@ -14,6 +14,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import OmegaConf
 from pages import ROOT
 
@@ -33,7 +37,7 @@ FILES = {kind: int(count) for kind, count in TABLE}
 
 LAW = '''
 from frictionzoo.core.state import FrictionTerms
-from frictionzoo.models import FrictionModel, register_model
+from frictionzoo.models import FrictionModel, Parameter, register_model
 
 @register_model("round_coulomb")
 class RoundCoulomb(FrictionModel):
@@ -50,22 +54,21 @@ class RoundCoulomb(FrictionModel):
     Source: any text on smooth signs.
     """
 
-    dimensions = {"coulomb_torque": "torque", "smoothing_velocity": "velocity", "viscous_coefficient": "damping"}
+    physical_parameters = {
+        "coulomb_torque": Parameter("torque", init=0.05, low=1e-4, high=2.0),
+        "smoothing_velocity": Parameter("velocity", 0.01, 0.002, 0.1, identify=False),
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10.0),
+    }
     dissipative = True
+
+    def __init__(self, nv, power=1, params=None):
+        super().__init__(nv, params)
 
     def terms(self, xp, values, state):
         v, v_0 = state.qvel, values["smoothing_velocity"]
         dry = values["coulomb_torque"] * v / xp.sqrt(xp.square(v) + v_0 * v_0)
         return FrictionTerms(torque=dry + values["viscous_coefficient"] * v)
 '''
-LAW_YAML = """
-# Coulomb friction with a hyperbolic sign, and viscous friction.
-_target_: frictionzoo.models.RoundCoulomb
-params:
-  coulomb_torque: { init: 0.05, low: 1e-4, high: 2.0, scale: log, identify: true }
-  smoothing_velocity: { init: 0.01, low: 0.002, high: 0.1, scale: log, identify: false }
-  viscous_coefficient: { init: 0.03, low: 1e-4, high: 10.0, scale: log, identify: true }
-"""
 ACTUATOR = '''
 from frictionzoo.bench.actuators import Actuator, Affine, register_actuator
 
@@ -200,17 +203,18 @@ def identify(settings: dict[str, Any]) -> Any:
         return run_fit(problem.fit, problem.objective, problem.drive.model, **settings["loop"])
 
 
-def test_a_law_is_two_files(
+def test_a_law_is_one_file(
     add: Callable[..., None],
     tiny: Sequence[str],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    add("models", "round_coulomb", LAW, "model", LAW_YAML)
+    add("models", "round_coulomb", LAW)
     line = "Coulomb friction with a hyperbolic sign, and viscous friction."
     assert listed(capsys, "models")["round_coulomb"] == ["frictionzoo", "model=round_coulomb", line]
-    settings = settings_of("model=round_coulomb", *tiny, "fit=lm", "logger=csv")
+    settings = settings_of("model=round_coulomb", *tiny, "fit=lm", "logger=csv", "scale.torque=2")
+    assert settings["model"]["params"]["coulomb_torque"]["init"] == 0.1 and settings["model"]["power"] == 1
     check_model(build(settings["model"], nv=2))
     outcome = identify(settings)
     # The recording's drive has a hyperbolic tangent in place of this sign.
@@ -224,6 +228,7 @@ def test_a_law_is_two_files(
     row = f"| [`round_coulomb`](#round_coulomb) | {line[:-1]} | `coulomb_torque`, `smoothing_velocity`, `visc"
     assert row in page
     section = page[page.index("## `round_coulomb`") :]
+    assert "| `model.params.coulomb_torque` | 0.05 torque | 0.0001 to 2 torque |  |\n" in section
     assert "```math\n\\text{torque} = \\frac{f\\,v}{\\sqrt{v^{2} + v_{0}^{2}}} + d\\,v\n```" in section
     assert "Cannot represent: sticking.\n\nSource: any text" in section
 
@@ -337,6 +342,34 @@ def test_another_package_brings_one_of_each_kind(package: Path, capsys: pytest.C
         name = next(name for name in names if name in each.names())
         assert each.get(name).__module__ == f"zoo_extras.{each.kind.plural}"
     assert build({"_target_": "zoo_extras.sources.Still", "name": "still", "samples": 5}).load().name == "still"
+
+
+def test_a_law_of_another_package_has_options_from_its_class(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "round_coulomb" in config.list_choices("model")
+    section = settings_of("model=round_coulomb", "scale.torque=3", "model.params.coulomb_torque.low=0.1")["model"]
+    assert section["_target_"] == "zoo_extras.models.RoundCoulomb" and section["power"] == 1
+    assert section["params"]["coulomb_torque"] == {
+        **{"init": pytest.approx(0.15), "low": 0.1, "high": 6, "scale": "log", "identify": True}
+    }
+    check_model(build(section, nv=2))
+    with pytest.raises(HydraException, match="coulomb_torqe"):
+        settings_of("model=round_coulomb", "model.params.coulomb_torqe.low=0.1")
+
+
+def test_a_file_of_another_package_has_precedence_over_its_class(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (package / "conf" / "model").mkdir(parents=True)
+    text = "_target_: zoo_extras.models.RoundCoulomb\nparams: {coulomb_torque: {init: 7.0}}\n"
+    (package / "conf" / "model" / "round_coulomb.yaml").write_text(text)
+
+    class Brought(SearchPathPlugin):
+        def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+            search_path.append("zoo_extras", f"file://{package / 'conf'}")
+
+    plugins = Plugins.instance().plugin_type_to_subclass_list
+    monkeypatch.setitem(plugins, SearchPathPlugin, [Brought, *plugins[SearchPathPlugin]])
+    assert settings_of("model=round_coulomb")["model"]["params"] == {"coulomb_torque": {"init": 7.0}}
 
 
 def test_only_packages_with_plug_ins_are_built_from(package: Path) -> None:

@@ -14,7 +14,9 @@ from omegaconf import OmegaConf
 from pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
 
 from frictionzoo.cli.commands import COMMANDS
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_choices, list_options
+from frictionzoo.core.declared import section_of
+from frictionzoo.models import get_model, model_names
 
 FLAGS = {"-m", "--cfg", "job", "--help"}
 # Not jobs: other commands, completion of a shell's lines, and what a reader has to fill in, such as FOLDER.
@@ -40,7 +42,7 @@ def assert_composes(job):
     """Every job that these arguments of a run stand for."""
     choices = [expand(argument) for argument in job if argument not in FLAGS]
     for values in filter(lambda values: is_choice(values[0]) and len(values) > 1, choices):
-        assert all((CONF_DIR / "{}/{}.yaml".format(*value.split("="))).exists() for value in values)
+        assert all(name in list_choices(group) for group, name in (value.split("=") for value in values))
         del values[1:]  # tests/test_config.py composes every file, and experiments with the laws that change them
     for index in range(max(map(len, choices), default=1)):
         overrides = [values[index % len(values)] for values in choices]
@@ -57,8 +59,11 @@ def test_a_command_composes():
 
 
 def test_a_named_option_exists():
-    """Options in inline code that are followed by a value, `segments.length=5`, and their sections, in conf/."""
+    """Options in inline code that are followed by a value, `segments.length=5`, and their sections, in conf/ and in models."""
     known = set()
+    for name in model_names():
+        for key, _ in list_options(section_of(get_model(name)), "model."):
+            known |= set(itertools.accumulate(key.split("."), "{}.{}".format))
     for path in CONF_DIR.glob("**/*.yaml"):
         package = re.match(r"# @package (\S+)", path.read_text())
         own = package[1] if package else path.parent.name
@@ -120,8 +125,7 @@ def test_what_make_docs_writes_is_up_to_date(monkeypatch: pytest.MonkeyPatch):
 def test_the_page_of_models_has_a_row_and_a_section_for_each():
     text = (ROOT / "docs" / "models.md").read_text()
     rows, headings = (re.findall(pattern, text, re.M) for pattern in (r"^\| \[`(\w+)`\]", r"^## `(\w+)`$"))
-    names = sorted(path.stem for path in (CONF_DIR / "model").glob("*.yaml"))
-    assert rows == headings == names
+    assert rows == headings == list_choices("model")
 
 
 def test_constraints_are_exact_and_cover_what_the_project_asks_for():

@@ -8,7 +8,6 @@ from frictionzoo.core.errors import ModelError, UnknownModelError
 from frictionzoo.core.state import FrictionTerms
 from frictionzoo.models import Baseline, FrictionModel, get_model, model_names, register_model, registry
 
-PAPER = {"baseline", "mujoco_default", "coulomb_smooth", "coulomb_stribeck", "neural_friction"}
 LAW = """
 from frictionzoo.models import FrictionModel, register_model
 from frictionzoo.core.state import FrictionTerms
@@ -48,16 +47,6 @@ def install(tmp_path, monkeypatch):
 
 def sound(name: str) -> type[FrictionModel]:
     return type(name, (FrictionModel,), {"terms": lambda self, xp, values, state: FrictionTerms(torque=state.qvel)})
-
-
-def test_the_papers_laws_are_registered():
-    assert set(model_names()) >= PAPER
-    assert get_model("baseline") is Baseline
-
-
-@pytest.mark.parametrize("name", sorted(PAPER))
-def test_a_law_knows_its_name(name):
-    assert get_model(name).name == name
 
 
 def test_a_duplicate_name_raises():

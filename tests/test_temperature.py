@@ -34,7 +34,7 @@ from frictionzoo.simulation.rollout import make_rollout
 pytestmark = pytest.mark.usefixtures("in_haste")
 
 LAWS = ("temperature_linear", "temperature_arrhenius")
-REFERENCE = 25.0  # degC, of conf/model
+REFERENCE = 25.0  # degC, by default
 TRUTH = {
     "temperature_linear": {"frictionloss_slope": -0.008, "damping_slope": -0.012},
     "temperature_arrhenius": {"frictionloss_activation": 800.0, "damping_activation": 2500.0},
@@ -88,7 +88,7 @@ def test_known_values(make: Callable[..., Any], name: str) -> None:
 
 @pytest.mark.parametrize("name", LAWS)
 def test_no_temperature_makes_friction_vanish(make: Callable[..., Any], name: str) -> None:
-    """At the largest coefficients of conf/model and far from any laboratory; at 0 MuJoCo locks the joint."""
+    """At the largest coefficients by default and far from any laboratory; at 0 MuJoCo locks the joint."""
     law = make("model", f"model={name}", nv=1).float()
     state = at(np.linspace(-60, 200, 53)[:, None]).map(lambda signal: torch.tensor(signal, dtype=torch.float32))
     with torch.no_grad():

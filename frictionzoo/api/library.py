@@ -260,13 +260,13 @@ def load(folder: str | Path) -> Identified:
 
 @_naming_arguments()
 def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **options: Any) -> FrictionModel:
-    """Make a friction model with the initial values, bounds and options of `conf/model`.
+    """Make a friction model with the initial values, bounds and options that its class declares.
 
     Args:
-        name: A file of `conf/model`, or a registered model.
+        name: A choice of `model=` on the command line, or a registered model.
         nv: Number of joints.
         scale: As in `identify`.
-        options: Options of the model, which replace those of the file: `law("neural_friction", hidden=[8, 8])`, or
+        options: Options of the model, which replace the defaults: `law("neural_friction", hidden=[8, 8])`, or
             `law("coulomb_smooth", params={"static_torque": {"init": 0.2}})`.
 
     Returns:
@@ -280,8 +280,6 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
 
 
 def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any]) -> FrictionModel:
-    if name not in list_choices("model"):
-        return get_model(name)(nv, **options)
     return build(law_section(name, shared, options), FrictionModel, nv=nv)
 
 

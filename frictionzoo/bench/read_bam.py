@@ -61,7 +61,7 @@ class BamDrive:
         bam: BAM's name of the friction model, `m1` to `m6`.
         actuator: BAM's name of the servo.
         bench: Values of the parameters of the bench and of `VoltageServo`.
-        friction: Values of the parameters of `model`; conf/model has the others.
+        friction: Values of the parameters of `model`; the others have their defaults.
         remarks: Differences from BAM, a sentence each.
     """
 

@@ -33,7 +33,7 @@ def run_job(
     options: Sequence[str] = (),
     given: Given | None = None,
 ) -> tuple[Result, str | None]:
-    """Identify a drive with the model `name` of conf/model, and write the run's files.
+    """Identify a drive with the friction model `name`, and write the run's files.
 
     Rollouts of a `teacher` replace the measured training segments. `options`, as `KEY=VALUE`, enter the commands that
     the run suggests. `given` has the bench and recordings if they have been read already.

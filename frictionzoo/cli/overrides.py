@@ -13,7 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser, create_
 from hydra.core.override_parser.types import ChoiceSweep, Glob, Override, QuotedString, RangeSweep
 from hydra.errors import HydraException
 
-from frictionzoo.core.config import CONF_DIR, list_choices
+from frictionzoo.core.config import CONF_DIR, is_choice, list_choices
 from frictionzoo.core.errors import ConfigError, closest
 
 MOST_JOBS = 100_000  # in one range of a sweep
@@ -52,7 +52,10 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
         _refuse_no_setting(override)
         if not ("/" in group or is_group(group)):
             continue
-        names, valid_names = choices_named(override), [*list_choices(group), *_list_added(group, arguments)]
+        names = choices_named(override)
+        if group != "variant" and all(isinstance(name, str) and is_choice(group, name) for name in names):
+            continue
+        valid_names = [*list_choices(group), *_list_added(group, arguments)]
         is_valid = all(name in valid_names or (name is None and group == "start") for name in names)
         if group in _OPTIONAL_GROUPS and (override.is_delete() or is_valid):
             continue

@@ -13,11 +13,14 @@ from typing import Any, cast
 
 import yaml
 from hydra import compose, initialize_config_dir
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
+from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo.core.declared import ModelSource
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.params import AUTO
@@ -72,8 +75,16 @@ _OPEN = (
 )
 
 
+class _ModelPath(SearchPathPlugin):
+    """Friction models in frictionzoo's search path, after the files of all packages, which have precedence."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        if any(element.path == str(CONF_DIR) for element in search_path.get_path()):
+            search_path.append("frictionzoo", f"{ModelSource.scheme()}://")
+
+
 def prepare_hydra() -> None:
-    """Register `mul`, `div`, `run_dir` (the resumed folder, else a new one) and core counts for configurations.
+    """Register friction models, `mul`, `div`, `run_dir` (the resumed folder, else a new one) and core counts.
 
     Remove schemas of Hydra plug-ins named like a file in `conf/hydra/`: merging them would warn or fail.
     """
@@ -87,7 +98,8 @@ def prepare_hydra() -> None:
     }
     for name, resolver in resolvers.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)
-    Plugins.instance()  # imports the plugins, which store their schemas
+    Plugins.instance().register(ModelSource)  # after the plugins, which it imports; they store their schemas
+    Plugins.instance().register(_ModelPath)
     store = ConfigStore.instance()
     for path in (CONF_DIR / "hydra").glob("*/*.yaml"):
         store.repo.get("hydra", {}).get(path.parent.name, {}).pop(path.name, None)
@@ -95,7 +107,6 @@ def prepare_hydra() -> None:
 
 def compose_config(*overrides: str) -> DictConfig:
     """Compose the configuration of a job from overrides, `key=value`, as on the command line."""
-    prepare_hydra()
     with _hydra():
         return compose("config", overrides=list(overrides))
 
@@ -183,9 +194,19 @@ def list_choices(group: str) -> list[str]:
         return GlobalHydra.instance().config_loader().get_group_options(group)
 
 
+def is_choice(group: str, name: str) -> bool:
+    """Return whether `list_choices` has this name, without reading all files; never for a path, which may lead out."""
+    if not name.isidentifier():
+        return False
+    with _hydra():
+        sources = GlobalHydra.instance().config_loader().get_sources()
+    return any(source.is_config(f"{group}/{name}") for source in sources)
+
+
 @contextlib.contextmanager
 def _hydra() -> Iterator[None]:
     """Use Hydra as the running program started it, else start it."""
+    prepare_hydra()
     if GlobalHydra.instance().is_initialized():
         yield
     else:

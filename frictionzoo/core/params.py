@@ -41,6 +41,21 @@ UNITS: dict[str, dict[str, str]] = {
 """Unit of each dimension on a hinge (rotation) and on a slide (translation)."""
 
 
+_TYPICAL = {
+    "position": "${mul:%s,${scale.velocity}}",  # of 1 s
+    "velocity": "${mul:%s,${scale.velocity}}",
+    "torque": "${mul:%s,${scale.torque}}",
+    "inertia": "${mul:%s,${scale.inertia}}",
+    "damping": "${mul:%s,${scale.damping}}",
+    "damping/velocity": "${mul:%s,${div:${scale.damping},${scale.velocity}}}",
+    "damping/velocity^2": "${mul:%s,${div:${scale.damping},${mul:${scale.velocity},${scale.velocity}}}}",
+    "stiffness": "${mul:%s,${div:${scale.torque},${scale.velocity}}}",  # typical torque over the position above
+    "1/velocity": "${div:%s,${scale.velocity}}",
+    "1/position": "${div:%s,${scale.velocity}}",
+    "1/torque": "${div:%s,${scale.torque}}",
+}
+"""Multiple of a bench's typical value of a dimension, in a configuration; other dimensions have SI units there."""
+
 _NOT_NEGATIVE = frozenset({"armature", "frictionloss", "damping", "delay", "kp", "kd", "torque_gain", "duty_gain"})
 _NOT_NEGATIVE |= {"torque_limit", "torque_saturation", "stall_torque", "no_load_velocity", "duty_limit"}
 _NOT_NEGATIVE |= {"kt_over_r", "kt2_over_r", "coulomb_torque", "static_torque", "kinetic_torque", "stiffness"}
@@ -52,6 +67,39 @@ PerJoint = float | tuple[float, ...] | Mapping[str, float]
 """One number for all joints, one for each joint in order, or one for each pattern of joint names."""
 Tie = bool | Mapping[str, str] | None
 """Joints that share a value: all (true), none (false), those matching each group's pattern; None: as in the bench."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Physical parameter as a friction model's class declares it, for every bench.
+
+    `init`, `low` and `high` are multiples of the bench's typical torque, velocity, damping or inertia (`scale` of a
+    configuration), so they suit both a servo and a carriage; see `_TYPICAL`.
+
+    Attributes:
+        dimension: A key of `UNITS`.
+        init: Initial value.
+        low: Lower bound.
+        high: Upper bound.
+        scale: As in `Param`.
+        identify: Whether a fit may change it by default.
+        from_robot: Whether a value in the robot's file replaces `init`.
+    """
+
+    dimension: str
+    init: float
+    low: float
+    high: float
+    scale: str | float = "log"
+    identify: bool = True
+    from_robot: bool = False
+
+    def section(self) -> dict[str, Any]:
+        """Return its section of a configuration, with references to the bench's `scale`."""
+        typical = _TYPICAL.get(self.dimension)
+        init, low, high = (typical % each if typical else each for each in (self.init, self.low, self.high))
+        start = {"init": None, "default": init} if self.from_robot else {"init": init}
+        return {**start, "low": low, "high": high, "scale": self.scale, "identify": self.identify}
 
 
 @dataclass(frozen=True)

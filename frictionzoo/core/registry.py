@@ -22,18 +22,25 @@ B = TypeVar("B")
 class Plugin(NamedTuple):
     """Plug-in as read from its file, without importing it.
 
-    `target` is the dotted name of the class, as in `_target_`; `summary` is the first line of its docstring.
+    `target` is the dotted name of the class, as in `_target_`; `summary` is the first line of its docstring; `path` is
+    its file, None if there is none.
     """
 
     name: str
     module: str
     target: str
     summary: str
+    path: Path | None = None
 
     @property
     def package(self) -> str:
         """Package that provides it."""
         return self.module.partition(".")[0]
+
+    @property
+    def cls(self) -> str:
+        """Name of the class."""
+        return self.target.rpartition(".")[2]
 
 
 @dataclass(frozen=True)
@@ -61,8 +68,8 @@ class Kind:
         """Entry-point group of other packages."""
         return f"frictionzoo.{self.plural}"
 
-    def own(self) -> dict[str, Plugin]:
-        """Return frictionzoo's plug-ins by name, read from the files of `home`, imported or not.
+    def own(self, stem: str = "*") -> dict[str, Plugin]:
+        """Return frictionzoo's plug-ins by name, read from the files of `home` with this stem, imported or not.
 
         Raises:
             ConfigError: Two files register one name.
@@ -71,10 +78,10 @@ class Kind:
         home = sys.modules.get(self.home)
         source = Path(__file__).parents[1].joinpath(*self.home.split(".")[1:])
         for folder in home.__path__ if home else [str(source)]:
-            for path in sorted(Path(folder).glob("*.py")):
+            for path in sorted(Path(folder).glob(f"{stem}.py")):
                 for name, cls, summary in _read_file(path, self.decorator):
                     module = f"{self.home}.{path.stem}"
-                    new = Plugin(name, module, f"{self.home if self.offered else module}.{cls}", summary)
+                    new = Plugin(name, module, f"{self.home if self.offered else module}.{cls}", summary, path)
                     if plugins.setdefault(name, new) != new:
                         raise ConfigError(f"{name}: registered by {plugins[name].target} and {new.target}; rename one")
         return plugins
@@ -95,7 +102,7 @@ class Kind:
             return Plugin(point.name, point.module, point.module, f"does not load: {error}")
         for name, cls, summary in _read_file(Path(origin), self.decorator) if origin else ():
             if name == point.name:
-                return Plugin(name, point.module, f"{point.module}.{cls}", summary)
+                return Plugin(name, point.module, f"{point.module}.{cls}", summary, Path(origin))
         return Plugin(point.name, point.module, point.module, "")
 
 
@@ -202,7 +209,7 @@ class Registry(Generic[B]):
         return cls
 
     def _load(self, plugin: Plugin) -> type[B]:
-        cls = getattr(importlib.import_module(plugin.module), plugin.target.rpartition(".")[2])
+        cls = getattr(importlib.import_module(plugin.module), plugin.cls)
         return self.entries.setdefault(plugin.name, cls)
 
     def _outside(self) -> dict[str, EntryPoint]:

@@ -141,7 +141,7 @@ def _list_laws(
 
 
 def _read_defaults(name: str, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Return the upper bounds that `conf/model` gives the parameters of a friction model."""
+    """Return the default upper bounds of a friction model's parameters."""
     if name not in list_choices("model"):
         return {}
     return {key: param["high"] for key, param in law_section(name, settings, {}).get("params", {}).items()}

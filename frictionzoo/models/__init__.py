@@ -1,9 +1,19 @@
 """Friction models, one per file, found without a list."""
 
+from frictionzoo.core.params import Parameter
 from frictionzoo.models.base import FrictionModel, Params, TorchFriction, Values
 from frictionzoo.models.registry import REGISTRY, get_model, model_names, register_model
 
-__all__ = ["FrictionModel", "Params", "TorchFriction", "Values", "get_model", "model_names", "register_model"]
+__all__ = [
+    "FrictionModel",
+    "Parameter",
+    "Params",
+    "TorchFriction",
+    "Values",
+    "get_model",
+    "model_names",
+    "register_model",
+]
 
 
 def __getattr__(name: str) -> type[FrictionModel]:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 
 
 @register_model("asymmetric")
@@ -39,11 +39,11 @@ class Asymmetric(FrictionModel):
     documentation, "Computation", friction loss.
     """
 
-    dimensions = {
-        "frictionloss_forward": "torque",
-        "frictionloss_backward": "torque",
-        "damping_forward": "damping",
-        "damping_backward": "damping",
+    physical_parameters = {
+        "frictionloss_forward": Parameter("torque", 0.03, 1e-4, 10),
+        "frictionloss_backward": Parameter("torque", 0.03, 1e-4, 10),
+        "damping_forward": Parameter("damping", 0.03, 1e-4, 10),
+        "damping_backward": Parameter("damping", 0.03, 1e-4, 10),
     }
     contains = {
         "mujoco_default": {

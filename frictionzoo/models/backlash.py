@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 
 _NEARLY_UNLOADED = 1e-3  # fraction of the smoothing's torque below which a settled rotor floats, for a finite gradient
 
@@ -67,15 +67,15 @@ class Backlash(FrictionModel):
     are this package's.
     """
 
-    dimensions = {
-        "rotor_inertia": "inertia",
-        "gap": "position",
-        "stiffness": "stiffness",
-        "coupling_damping": "damping",
-        "frictionloss": "torque",
-        "damping": "damping",
-        "smoothing_velocity": "velocity",
-        "smoothing": "1",
+    physical_parameters = {
+        "rotor_inertia": Parameter("inertia", 0.01, 1e-5, 1),
+        "gap": Parameter("position", 0.01, 1e-4, 0.3),
+        "stiffness": Parameter("stiffness", 100, 1, 100_000),
+        "coupling_damping": Parameter("damping", 0.3, 1e-3, 100),
+        "frictionloss": Parameter("torque", 0.03, 1e-4, 2, from_robot=True),
+        "damping": Parameter("damping", 0.03, 1e-4, 10, from_robot=True),
+        "smoothing_velocity": Parameter("velocity", 0.01, 0.001, 0.1, identify=False),  # a setting of the simulation
+        "smoothing": Parameter("1", 0.1, 0.001, 0.9, identify=False),  # a setting of the simulation
     }
     contains = {"mujoco_default": {"rotor_inertia": 0.0, "gap": 0.0, "stiffness": float("inf")}}
     valleys = {"gap": (0.1, 10.0), "rotor_inertia": (0.1, 10.0)}

@@ -9,7 +9,7 @@ import torch
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError, ModelError
-from frictionzoo.core.params import Param, read_params, refuse_negative
+from frictionzoo.core.params import Param, Parameter, read_params, refuse_negative
 from frictionzoo.core.state import DriveState, FrictionTerms
 
 Values = Mapping[str, Any]
@@ -25,13 +25,17 @@ one-to-one function of the nested model's values. Parameters that are not listed
 class FrictionModel(Described, torch.nn.Module, ABC):
     """Friction model: a torch module that owns its parameters, with one formula over an array namespace.
 
-    A model declares its physical parameters in `dimensions`. They become `torch.nn.Parameter`s of shape (nv,) in SI
-    units, so a saved state contains physical values. Any other registered parameter, such as a network's weights, is
-    optimised directly, without bounds.
+    A model declares its physical parameters in `physical_parameters`. They become `torch.nn.Parameter`s of shape (nv,)
+    in SI units, so a saved state contains physical values. Any other registered parameter, such as a network's weights,
+    is optimised directly, without bounds. The other arguments of the constructor are options, with their defaults.
 
     Attributes:
         name: Name of the model, set by `register_model`.
-        dimensions: Dimension of each physical parameter, a key of `frictionzoo.core.params.UNITS`.
+        physical_parameters: Dimension, initial value and bounds of each physical parameter, the options
+            `model.params.NAME`. In frictionzoo's files, which are read without running them, write a dictionary of
+            `Parameter(...)` with constants, and `**Other.physical_parameters` for those of another model.
+        dimensions: Dimension of each physical parameter, a key of `frictionzoo.core.params.UNITS`. A class may declare
+            these alone; `params`, or a YAML file of the model's package, then has the rest.
         constraint: Whether `terms` returns a `frictionloss`, so the simulated joint needs MuJoCo's friction constraint.
         constrained: `constraint` of each joint; a joint without it has `frictionloss` 0 if other joints have one.
         dissipative: Whether the model never adds energy to the drive, for any values within bounds: the sum of its
@@ -57,6 +61,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     """
 
     name: ClassVar[str]
+    physical_parameters: ClassVar[Mapping[str, Parameter]] = {}
     dimensions: ClassVar[Mapping[str, str]] = {}
     constraint: bool = False
     dissipative: bool = False
@@ -66,6 +71,11 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     memory: int = 0
     shortest_segment: float = 0.0
     sees: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        if "physical_parameters" in vars(cls):
+            cls.dimensions = {name: parameter.dimension for name, parameter in cls.physical_parameters.items()}
 
     def __init__(self, nv: int, params: Params | None = None) -> None:
         super().__init__()

@@ -1,18 +1,20 @@
-"""Models by name: their sections of `conf/model`, with the user's options."""
+"""Models by name: their sections of a configuration, with the user's options."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.core.config import compose_settings, list_choices
+from frictionzoo.core.declared import is_declared
 from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.core.registry import dotted_name
 from frictionzoo.models.registry import get_model
 
 
 def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section that makes a model: from its file in `conf/model`, or, without a file, its class alone.
+    """Return the section that makes a model: its options with `options` in place of their defaults.
 
-    `options` replace those of the file. `shared` has a job's `scale` and `seed`, if known; other entries are ignored.
+    `shared` has a job's `scale` and `seed`, if known; other entries are ignored. A model that declares only the
+    dimensions of its parameters, and has no file, has no defaults.
 
     Raises:
         UnknownModelError: There is no such model.
@@ -20,9 +22,9 @@ def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]
     """
     if "_target_" in options:
         raise ConfigError(f"{name}: unknown option _target_, which would make it another law; name that law")
-    if name not in list_choices("model"):
-        return {"_target_": dotted_name(get_model(name)), **options}
-    job = {key: shared[key] for key in ("scale", "seed") if key in shared}  # to which the models' files refer
+    if name not in list_choices("model") and not is_declared(law := get_model(name)):
+        return {"_target_": dotted_name(law), **options}
+    job = {key: shared[key] for key in ("scale", "seed") if key in shared}  # to which the models' sections refer
     return complete_laws(compose_settings({**job, "model": options}, f"model={name}")["model"], shared)
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 
 
 @register_model("coulomb_smooth")
@@ -28,7 +28,11 @@ class CoulombSmooth(FrictionModel):
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Coulomb-Smooth".
     """
 
-    dimensions = {"static_torque": "torque", "smoothing": "1/velocity", "viscous_coefficient": "damping"}
+    physical_parameters = {
+        "static_torque": Parameter("torque", 0.03, 1e-4, 2),
+        "smoothing": Parameter("1/velocity", 3, 0.1, 10),  # init: the sign saturates at 0.07 of the typical velocity
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10),
+    }
     dissipative = True
     sees = ("speed",)
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.bristles import stribeck_force
 
 
@@ -37,12 +37,13 @@ class CoulombStribeck(FrictionModel):
     2026, Table 1, "Coulomb-Stribeck".
     """
 
-    dimensions = {
-        "static_torque": "torque",
-        "kinetic_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "viscous_coefficient": "damping",
-        "smoothing_velocity": "velocity",
+    physical_parameters = {
+        "static_torque": Parameter("torque", 0.05, 1e-4, 2),
+        # Not equal to static_torque at the start, where stribeck_velocity has no gradient.
+        "kinetic_torque": Parameter("torque", 0.03, 1e-4, 2),
+        "stribeck_velocity": Parameter("velocity", 0.075, 0.02, 0.5),  # low: above smoothing_velocity
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10),
+        "smoothing_velocity": Parameter("velocity", 0.01, 0.002, 0.1, identify=False),  # low: the limit of stability
     }
     contains = {
         "coulomb_smooth": {

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState
-from frictionzoo.models import Values, register_model
+from frictionzoo.models import Parameter, Values, register_model
 from frictionzoo.models.bristles import BristleModel
 
 
@@ -33,11 +33,13 @@ class Dahl(BristleModel):
     Source: P. R. Dahl, "A solid friction model", Aerospace Corporation, TOR-0158(3107-18)-1, 1968, with the exponent 1.
     """
 
-    dimensions = {
-        "stiffness": "stiffness",
-        "coulomb_torque": "torque",
-        "viscous_coefficient": "damping",
-        "rest_velocity": "velocity",
+    physical_parameters = {
+        "stiffness": Parameter(
+            "stiffness", 100, 1, 100_000, from_robot=True
+        ),  # init: yields after 0.3 ms at typical velocity
+        "coulomb_torque": Parameter("torque", 0.03, 1e-4, 2, from_robot=True),
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10, from_robot=True),
+        "rest_velocity": Parameter("velocity", 0.01, 0.001, 0.1, identify=False),  # a property of the measurement
     }
     valleys = {"stiffness": (0.1, 10.0)}
     sees = ("speed", "reversal")

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState
-from frictionzoo.models import Values, register_model
+from frictionzoo.models import Parameter, Values, register_model
 from frictionzoo.models.bristles import BristleModel
 from frictionzoo.models.dahl import Dahl
 from frictionzoo.models.limits import gear_load
@@ -40,7 +40,10 @@ class DahlLoadDependent(BristleModel):
     actuators", 2024, model M3. The combination is this package's.
     """
 
-    dimensions = {**Dahl.dimensions, "load_friction": "1"}
+    physical_parameters = {
+        **Dahl.physical_parameters,
+        "load_friction": Parameter("1", 0.02, 1e-4, 0.5),
+    }
     contains = {"dahl": {"load_friction": 0.0}}
     valleys = {"stiffness": (0.1, 10.0)}
     sees = ("speed", "load", "reversal")

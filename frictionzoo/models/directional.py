@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.limits import directional_limit
 from frictionzoo.models.stribeck import Stribeck
 
@@ -36,12 +36,12 @@ class Directional(FrictionModel):
     actuators", 2024, model M5.
     """
 
-    dimensions = {
-        **Stribeck.dimensions,
-        "load_friction_motor": "1",
-        "load_friction_external": "1",
-        "stribeck_load_friction_motor": "1",
-        "stribeck_load_friction_external": "1",
+    physical_parameters = {
+        **Stribeck.physical_parameters,
+        "load_friction_motor": Parameter("1", 0.02, 1e-4, 0.5),
+        "load_friction_external": Parameter("1", 0.02, 1e-4, 0.5),
+        "stribeck_load_friction_motor": Parameter("1", 0.02, 1e-4, 0.5),
+        "stribeck_load_friction_external": Parameter("1", 0.02, 1e-4, 0.5),
     }
     contains = {
         "stribeck_load_dependent": {

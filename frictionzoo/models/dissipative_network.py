@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import Params, Values, register_model
+from frictionzoo.models import Parameter, Params, Values, register_model
 from frictionzoo.models.network import GearNetwork
 
 
@@ -52,7 +52,9 @@ class DissipativeNetwork(GearNetwork):
     pricing", NIPS 2000.
     """
 
-    dimensions = {"smoothing_velocity": "velocity"}
+    physical_parameters = {
+        "smoothing_velocity": Parameter("velocity", 0.01, 0.002, 0.1, identify=False),  # low: the limit of stability
+    }
     dissipative = True
 
     def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0, params: Params | None = None) -> None:

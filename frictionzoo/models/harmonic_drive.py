@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.directional import Directional
 from frictionzoo.models.limits import directional_limit, ripple_share
 from frictionzoo.models.ripple import Ripple
@@ -54,7 +54,15 @@ class HarmonicDrive(FrictionModel):
     friction models for the physics simulation of servo actuators", 2024, for the terms of the limit.
     """
 
-    dimensions = {**Directional.dimensions, **Ripple.dimensions, "cubic_damping": "damping/velocity^2"}
+    physical_parameters = {
+        **Directional.physical_parameters,
+        **Ripple.physical_parameters,
+        "sine_1": Parameter("1", 0.0, -0.95, 0.95, 0.1),
+        "cosine_1": Parameter("1", 0.0, -0.95, 0.95, 0.1),
+        "sine_2": Parameter("1", 0.0, -0.95, 0.95, 0.1),
+        "cosine_2": Parameter("1", 0.0, -0.95, 0.95, 0.1),
+        "cubic_damping": Parameter("damping/velocity^2", 0.01, 1e-4, 10),
+    }
     contains = {
         "directional": {"sine_1": 0.0, "cosine_1": 0.0, "sine_2": 0.0, "cosine_2": 0.0, "cubic_damping": 0.0},
         "ripple": {

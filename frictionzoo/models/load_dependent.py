@@ -3,8 +3,9 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.limits import gear_load
+from frictionzoo.models.mujoco_default import MujocoDefault
 
 
 @register_model("load_dependent")
@@ -36,7 +37,10 @@ class LoadDependent(FrictionModel):
     actuators", 2024, model M3.
     """
 
-    dimensions = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
+    physical_parameters = {
+        **MujocoDefault.physical_parameters,
+        "load_friction": Parameter("1", 0.02, 1e-4, 0.5),
+    }
     contains = {"mujoco_default": {"load_friction": 0.0}}
     constraint = True
     dissipative = True

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState
-from frictionzoo.models import Values, register_model
+from frictionzoo.models import Parameter, Values, register_model
 from frictionzoo.models.bristles import BristleModel, stribeck_force
 
 
@@ -39,14 +39,15 @@ class LuGre(BristleModel):
     friction", IEEE Transactions on Automatic Control 40(3), 1995.
     """
 
-    dimensions = {
-        "stiffness": "stiffness",
-        "micro_damping": "damping",
-        "static_torque": "torque",
-        "kinetic_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "viscous_coefficient": "damping",
-        "rest_velocity": "velocity",
+    physical_parameters = {
+        "stiffness": Parameter("stiffness", 100, 1, 100_000, from_robot=True),
+        "micro_damping": Parameter("damping", 0.03, 1e-4, 10, from_robot=True),
+        "static_torque": Parameter("torque", 0.05, 1e-4, 2, from_robot=True),
+        # Not equal to static_torque at the start, where stribeck_velocity has no gradient.
+        "kinetic_torque": Parameter("torque", 0.03, 1e-4, 2, from_robot=True),
+        "stribeck_velocity": Parameter("velocity", 0.075, 0.005, 0.5, from_robot=True),
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10, from_robot=True),
+        "rest_velocity": Parameter("velocity", 0.01, 0.001, 0.1, identify=False),  # a property of the measurement
     }
     contains = {
         "dahl": {"micro_damping": 0.0, "static_torque": "coulomb_torque", "kinetic_torque": "coulomb_torque"},

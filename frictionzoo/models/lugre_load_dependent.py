@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState
-from frictionzoo.models import Values, register_model
+from frictionzoo.models import Parameter, Values, register_model
 from frictionzoo.models.bristles import BristleModel, stribeck_bell, stribeck_force
 from frictionzoo.models.limits import gear_load
 from frictionzoo.models.lugre import LuGre
@@ -46,7 +46,11 @@ class LuGreLoadDependent(BristleModel):
     this package's.
     """
 
-    dimensions = {**LuGre.dimensions, "load_friction": "1", "stribeck_load_friction": "1"}
+    physical_parameters = {
+        **LuGre.physical_parameters,
+        "load_friction": Parameter("1", 0.02, 1e-4, 0.5),
+        "stribeck_load_friction": Parameter("1", 0.02, 1e-4, 0.5),
+    }
     contains = {
         "lugre": {"load_friction": 0.0, "stribeck_load_friction": 0.0},
         "dahl_load_dependent": {

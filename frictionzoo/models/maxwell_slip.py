@@ -4,7 +4,7 @@ from typing import Any
 
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Params, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Params, Values, register_model
 from frictionzoo.models.bristles import settled_force, slip, stribeck_force
 
 
@@ -47,14 +47,15 @@ class MaxwellSlip(FrictionModel):
         ConfigError: There is no element; see also `FrictionModel`.
     """
 
-    dimensions = {
-        "presliding": "position",
-        "static_torque": "torque",
-        "kinetic_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "lag": "time",
-        "viscous_coefficient": "damping",
-        "rest_velocity": "velocity",
+    physical_parameters = {
+        "presliding": Parameter("position", 1e-3, 1e-6, 0.1),
+        "static_torque": Parameter("torque", 0.05, 1e-4, 2),
+        # Not equal to static_torque at the start, where stribeck_velocity has no gradient.
+        "kinetic_torque": Parameter("torque", 0.03, 1e-4, 2),
+        "stribeck_velocity": Parameter("velocity", 0.075, 0.005, 0.5),
+        "lag": Parameter("time", 1e-3, 1e-5, 0.1),
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10),
+        "rest_velocity": Parameter("velocity", 0.01, 0.001, 0.1, identify=False),  # a property of the measurement
     }
     valleys = {"stribeck_velocity": (0.3, 3.0), "presliding": (0.1, 10.0)}
     dissipative = True

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 
 
 @register_model("mujoco_default")
@@ -28,7 +28,10 @@ class MujocoDefault(FrictionModel):
     documentation, "Computation", friction loss; V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "MuJoCo-Default".
     """
 
-    dimensions = {"frictionloss": "torque", "damping": "damping"}
+    physical_parameters = {
+        "frictionloss": Parameter("torque", 0.03, 1e-4, 10, from_robot=True),
+        "damping": Parameter("damping", 0.03, 1e-4, 10, from_robot=True),
+    }
     constraint = True
     dissipative = True
     sees = ("speed",)

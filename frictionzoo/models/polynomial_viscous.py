@@ -3,7 +3,8 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
+from frictionzoo.models.mujoco_default import MujocoDefault
 
 
 @register_model("polynomial_viscous")
@@ -34,11 +35,10 @@ class PolynomialViscous(FrictionModel):
     joint, damping.
     """
 
-    dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "quadratic_damping": "damping/velocity",
-        "cubic_damping": "damping/velocity^2",
+    physical_parameters = {
+        **MujocoDefault.physical_parameters,
+        "quadratic_damping": Parameter("damping/velocity", 0.01, 1e-4, 10),
+        "cubic_damping": Parameter("damping/velocity^2", 0.01, 1e-4, 10),
     }
     contains = {"mujoco_default": {"quadratic_damping": 0.0, "cubic_damping": 0.0}}
     constraint = True

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.directional import Directional
 from frictionzoo.models.limits import directional_limit, stribeck_share
 
@@ -41,10 +41,10 @@ class Quadratic(FrictionModel):
     actuators", 2024, model M6.
     """
 
-    dimensions = {
-        **Directional.dimensions,
-        "quadratic_load_friction_motor": "1/torque",
-        "quadratic_load_friction_external": "1/torque",
+    physical_parameters = {
+        **Directional.physical_parameters,
+        "quadratic_load_friction_motor": Parameter("1/torque", 0.01, 1e-4, 1),
+        "quadratic_load_friction_external": Parameter("1/torque", 0.01, 1e-4, 1),
     }
     contains = {
         "directional": {"quadratic_load_friction_motor": 0.0, "quadratic_load_friction_external": 0.0},

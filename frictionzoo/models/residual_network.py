@@ -8,6 +8,7 @@ import torch
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import Params, Values, register_model
+from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.network import NetworkModel
 
 
@@ -61,12 +62,17 @@ class ResidualNetwork(NetworkModel):
         ConfigError: The limit is not positive; see also `NetworkModel`.
     """
 
-    dimensions = {"frictionloss": "torque", "damping": "damping"}
+    physical_parameters = MujocoDefault.physical_parameters
     constraint = True
     residual_limit: torch.Tensor
 
     def __init__(
-        self, nv: int, hidden: Sequence[int], residual_limit: float, seed: int, params: Params | None = None
+        self,
+        nv: int,
+        hidden: Sequence[int] = (16, 16),
+        residual_limit: float = 0.2,
+        seed: int = 0,
+        params: Params | None = None,
     ) -> None:
         super().__init__(nv, hidden, 1, seed, params)
         if not 0 < residual_limit < float("inf"):

@@ -3,8 +3,9 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.limits import ripple_share
+from frictionzoo.models.mujoco_default import MujocoDefault
 
 
 @register_model("ripple")
@@ -40,14 +41,13 @@ class Ripple(FrictionModel):
     model omits its dependence on the speed.
     """
 
-    dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "periods": "1/position",
-        "sine_1": "1",
-        "cosine_1": "1",
-        "sine_2": "1",
-        "cosine_2": "1",
+    physical_parameters = {
+        **MujocoDefault.physical_parameters,
+        "periods": Parameter("1/position", 12, 0.1, 1000, identify=False),
+        "sine_1": Parameter("1", 0.0, -0.2, 0.2, 0.1),
+        "cosine_1": Parameter("1", 0.0, -0.2, 0.2, 0.1),
+        "sine_2": Parameter("1", 0.0, -0.2, 0.2, 0.1),
+        "cosine_2": Parameter("1", 0.0, -0.2, 0.2, 0.1),
     }
     contains = {"mujoco_default": {"sine_1": 0.0, "cosine_1": 0.0, "sine_2": 0.0, "cosine_2": 0.0}}
     constraint = True

@@ -3,8 +3,9 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.limits import stribeck_share
+from frictionzoo.models.mujoco_default import MujocoDefault
 
 
 @register_model("stribeck")
@@ -32,12 +33,11 @@ class Stribeck(FrictionModel):
     models, analysis tools and compensation methods for the control of machines with friction", Automatica 30(7), 1994.
     """
 
-    dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "stribeck_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "stribeck_exponent": "1",
+    physical_parameters = {
+        **MujocoDefault.physical_parameters,
+        "stribeck_torque": Parameter("torque", 0.02, 1e-4, 2),
+        "stribeck_velocity": Parameter("velocity", 0.2, 0.01, 2),
+        "stribeck_exponent": Parameter("1", 2.0, 0.5, 10.0),
     }
     contains = {"mujoco_default": {"stribeck_torque": 0.0}}
     valleys = {"stribeck_velocity": (0.3, 3.0)}

@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.limits import gear_load, stribeck_share
 from frictionzoo.models.stribeck import Stribeck
 
@@ -37,7 +37,11 @@ class StribeckLoadDependent(FrictionModel):
     actuators", 2024, model M4.
     """
 
-    dimensions = {**Stribeck.dimensions, "load_friction": "1", "stribeck_load_friction": "1"}
+    physical_parameters = {
+        **Stribeck.physical_parameters,
+        "load_friction": Parameter("1", 0.02, 1e-4, 0.5),
+        "stribeck_load_friction": Parameter("1", 0.02, 1e-4, 0.5),
+    }
     contains = {
         "stribeck": {"load_friction": 0.0, "stribeck_load_friction": 0.0},
         "load_dependent": {"stribeck_torque": 0.0, "stribeck_load_friction": 0.0},

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from frictionzoo.models import Values, register_model
+from frictionzoo.models import Parameter, Values, register_model
+from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.temperature import ABSOLUTE_ZERO, TemperatureModel
 
 
@@ -36,11 +37,10 @@ class TemperatureArrhenius(TemperatureModel):
     friction that falls exponentially with the temperature.
     """
 
-    dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "frictionloss_activation": "temperature",
-        "damping_activation": "temperature",
+    physical_parameters = {
+        **MujocoDefault.physical_parameters,
+        "frictionloss_activation": Parameter("temperature", 0.0, -10000.0, 10000.0, 1000.0),
+        "damping_activation": Parameter("temperature", 0.0, -10000.0, 10000.0, 1000.0),
     }
     contains = {"mujoco_default": {"frictionloss_activation": 0.0, "damping_activation": 0.0}}
 

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from frictionzoo.models import Values, register_model
+from frictionzoo.models import Parameter, Values, register_model
+from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.temperature import TemperatureModel
 
 _LEAST = 0.05  # smallest factor: at a limit of 0 MuJoCo locks the joint
@@ -38,11 +39,10 @@ class TemperatureLinear(TemperatureModel):
     that grow or fall with the temperature; this model omits their Stribeck and load terms.
     """
 
-    dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "frictionloss_slope": "1/temperature",
-        "damping_slope": "1/temperature",
+    physical_parameters = {
+        **MujocoDefault.physical_parameters,
+        "frictionloss_slope": Parameter("1/temperature", 0.0, -0.05, 0.05, 0.01),
+        "damping_slope": Parameter("1/temperature", 0.0, -0.05, 0.05, 0.01),
     }
     contains = {"mujoco_default": {"frictionloss_slope": 0.0, "damping_slope": 0.0}}
 

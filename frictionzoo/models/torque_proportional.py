@@ -3,7 +3,7 @@
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, Values, register_model
+from frictionzoo.models import FrictionModel, Parameter, Values, register_model
 from frictionzoo.models.bristles import remaining, settled
 
 _ROUNDING = 1e-12  # relative size below which a square is rounding, for a finite gradient of its root
@@ -49,13 +49,13 @@ class TorqueProportional(FrictionModel):
     the comment of 18 September; f_c is this package's.
     """
 
-    dimensions = {
-        "presliding": "position",
-        "coulomb_torque": "torque",
-        "load_friction_driving": "1",
-        "load_friction_braking": "1",
-        "viscous_coefficient": "damping",
-        "rest_velocity": "velocity",
+    physical_parameters = {
+        "presliding": Parameter("position", 1e-3, 1e-6, 0.1),
+        "coulomb_torque": Parameter("torque", 0.03, 1e-4, 2),
+        "load_friction_driving": Parameter("1", 0.02, 1e-4, 0.5),
+        "load_friction_braking": Parameter("1", 0.02, 1e-4, 2),  # above 1 in a self-locking gear
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10),
+        "rest_velocity": Parameter("velocity", 0.01, 0.001, 0.1, identify=False),  # a property of the measurement
     }
     contains = {
         "dahl": {

@@ -50,7 +50,7 @@ class Findings:
     """Inputs and outcome of a run.
 
     Attributes:
-        name: Name of the friction model, as in conf/model.
+        name: Name of the friction model.
         values: Identified and known values of bench and model.
         judgement: Errors of the identified drive.
         baseline: Errors of the same bench identified without friction, on the same rollouts.

@@ -295,7 +295,7 @@ class Result(TypedDict):
     schema_version: Literal[10]
     """Schema version, increased by every change that affects readers of the file."""
     model: Text
-    """Name of the friction model, a file of conf/model."""
+    """Name of the friction model."""
     joints: Joints
     """Names of the identified joints; lists with one entry for each joint have this order."""
     data: DataRow

@@ -90,7 +90,7 @@ class RunRow(TypedDict):
     run: str
     """Name of the run's folder."""
     model: str
-    """Name of the friction model, a file of conf/model."""
+    """Name of the friction model."""
     identified: Natural
     """Number of identified values: parameters of each joint or group of joints with a shared value, and network
     weights."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import FrictionModel, register_model
+from frictionzoo.models import FrictionModel, Parameter, register_model
 
 
 @register_model("makkar")
@@ -22,7 +22,8 @@ class Makkar(FrictionModel):
         g5  coulomb_rise [s/rad or s/m], steepness of the change of sign
         g6  viscous_coefficient [N m s/rad or N s/m]
 
-    It opposes the motion if g2 >= g3, which the bounds of its configuration ensure.
+    It opposes the motion if g2 >= g3, which the bounds ensure. The torque is explicit: near standstill
+    the simulation chatters unless (g1 (g2 - g3) + g4 g5 + g6) timestep / inertia < 2.
 
     Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction that lags the velocity or
     depends on direction, load or position.
@@ -32,13 +33,14 @@ class Makkar(FrictionModel):
     are g1 to g6.
     """
 
-    dimensions = {
-        "stribeck_torque": "torque",
-        "stribeck_rise": "1/velocity",
-        "stribeck_decay": "1/velocity",
-        "coulomb_torque": "torque",
-        "coulomb_rise": "1/velocity",
-        "viscous_coefficient": "damping",
+    # Multiples of the bench's typical torque, velocity and damping, so they suit both a servo and a carriage.
+    physical_parameters = {
+        "stribeck_torque": Parameter("torque", init=0.02, low=1e-4, high=2),
+        "stribeck_rise": Parameter("1/velocity", 100, 50, 500, identify=False),  # low: above stribeck_decay
+        "stribeck_decay": Parameter("1/velocity", 10, 1, 40),
+        "coulomb_torque": Parameter("torque", 0.03, 1e-4, 2),
+        "coulomb_rise": Parameter("1/velocity", 100, 10, 500, identify=False),
+        "viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10),
     }
     dissipative = True
 

@@ -1,13 +1,12 @@
 """Viscous friction and a network whose layers exist only in torch."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models import TorchFriction, register_model
+from frictionzoo.models import Parameter, Params, TorchFriction, register_model
 
 
 @register_model("layer_norm_network")
@@ -38,12 +37,12 @@ class LayerNormNetwork(TorchFriction):
         params: Settings of each physical parameter.
     """
 
-    dimensions = {"viscous_coefficient": "damping"}
+    physical_parameters = {"viscous_coefficient": Parameter("damping", 0.03, 1e-4, 10)}
     viscous_coefficient: torch.Tensor
     input_size: torch.Tensor
     torque_scale: torch.Tensor
 
-    def __init__(self, nv: int, width: int, seed: int, params: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, nv: int, width: int = 16, seed: int = 0, params: Params | None = None) -> None:
         super().__init__(nv, params)
         with torch.random.fork_rng():  # leave torch's global generator unchanged
             torch.manual_seed(seed)
