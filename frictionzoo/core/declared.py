@@ -20,6 +20,7 @@ from frictionzoo.core.params import Parameter
 from frictionzoo.core.registry import KINDS, Plugin, dotted_name
 
 _MODELS = KINDS["models"]
+_Names = list[str]  # ConfigSource has a method `list`
 
 
 class ModelSource(ConfigSource):
@@ -55,7 +56,7 @@ class ModelSource(ConfigSource):
         registered = models and models.REGISTRY.entries.get(name)
         return bool(_own(name) or name in _list_brought() or is_declared(registered))
 
-    def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
+    def list(self, config_path: str, results_filter: ObjectType | None) -> _Names:
         """List the models of all installed packages."""
         return sorted({*_MODELS.own(), *_list_brought()}) if results_filter is not ObjectType.GROUP else []
 
@@ -100,8 +101,8 @@ def _read_options(path: Path, name: str) -> dict[str, Any]:
         for method in cls.body:
             if isinstance(method, ast.FunctionDef) and method.name == "__init__":
                 defaults = [ast.literal_eval(default) for default in method.args.defaults]
-                arguments = method.args.args[-len(defaults) :]
-                return {each.arg: default for each, default in zip(arguments, defaults, strict=True)}
+                arguments = [each.arg for each in method.args.args]
+                return dict(zip(arguments[len(arguments) - len(defaults) :], defaults, strict=True))
     return {}
 
 
