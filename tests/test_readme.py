@@ -59,7 +59,7 @@ def test_a_command_composes():
 
 
 def test_a_named_option_exists():
-    """Options in inline code that are followed by a value, `segments.length=5`, and their sections, in conf/ and in models."""
+    """Options in inline code that are followed by a value, `segments.length=5`, and their sections exist."""
     known = set()
     for name in model_names():
         for key, _ in list_options(section_of(get_model(name)), "model."):
