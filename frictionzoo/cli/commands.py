@@ -67,8 +67,8 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo design RUN position=1.5 velocity=4 torque=2
 
 options of a run:
-  GROUP=FILE    a friction model (model=NAME), or a file of conf/: of bench, data,
-                experiment, fit, logger
+  GROUP=FILE    a file of conf/: of bench, data, experiment, fit, logger; or a
+                friction model: model=NAME
   OPTION=VALUE  an entry of these files: segments.length=20
   -m            one job for each combination of values with commas between them
   --cfg job     print all options with their values and exit; --resolve
