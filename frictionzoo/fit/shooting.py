@@ -168,7 +168,10 @@ class Shooting(NamedTuple):
         return self.sparsity.states_together(state).reshape(data.begun.shape)
 
     def advance(self, search: StateSearch, tried: Local, data: Blocks) -> StateSearch:
-        """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial if its sum decreases."""
+        """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial if its sum decreases.
+
+        Compiled, without bounds and with a damping for each chain, so it is not a case of `descend`.
+        """
         # The number of each segment's chain of linked segments.
         numbers = jnp.arange(data.weight.size)
         chain = numbers if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
