@@ -29,7 +29,7 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.core.telling import align, list_columns
 from frictionzoo.data.cache import digest
 from frictionzoo.data.pairing import describe_columns
-from frictionzoo.diagnostics.findings import Finding, Repair
+from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import OPTIONAL, Choice, widen_bounds
@@ -175,7 +175,7 @@ class Parts:
             "identity": identity,
             "options": {key: value for key, value in list_options(chosen.settings) if before.get(key) != value},
             "choices": chosen.choices[len(self.choices) :],
-            "doubts": [(doubt.text, doubt.repairs) for doubt in chosen.doubts[len(self.doubts) :]],
+            "doubts": [doubt.text for doubt in chosen.doubts[len(self.doubts) :]],
             "labels": start and start.labels,
             "loss": start and start.loss,
         }
@@ -204,16 +204,12 @@ class Parts:
         if stored["labels"] is not None:
             start = PilotResult(labels=stored["labels"], loss=stored["loss"], **{"states": None, **arrays})
         section = {name: settings["bench"][name] for name in _OF_THE_BENCH if name in settings["bench"]}
-        doubts = (
-            Finding("caution", "timestep", text, repairs=tuple(Repair(*repair) for repair in repairs))
-            for text, repairs in stored["doubts"]
-        )
         return replace(
             self,
             settings=settings,
             bench=remake(self.bench, **section),
             choices=(*self.choices, *(Choice(*choice) for choice in stored["choices"])),
-            doubts=[*self.doubts, *doubts],
+            doubts=[*self.doubts, *(Finding("caution", "timestep", text) for text in stored["doubts"])],
             start=start,
         )
 
