@@ -18,7 +18,7 @@ import pytest
 import scipy.io
 from conftest import DATA, needs_data
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin
 from write_logs import (
     COMMAND,
     EPOCH,
@@ -32,6 +32,7 @@ from write_logs import (
     write_bam,
     write_csv,
     write_log,
+    write_messages,
 )
 
 from frictionzoo.core.errors import ConfigError, LogError
@@ -227,14 +228,7 @@ def test_a_real_matlab_file():
 
 def ros_log(folder: Path, messages, plugin=StoragePlugin.MCAP) -> Table:
     """The table of a bag with (topic, message, received) in it."""
-    with Writer(folder, version=9, storage_plugin=plugin) as bag:
-        known = {}
-        for topic, message, received in messages:
-            kind = message.__msgtype__
-            if topic not in known:
-                known[topic] = bag.add_connection(topic, kind, typestore=STORE)
-            bag.write(known[topic], received, STORE.serialize_cdr(message, kind))
-    (table,) = read_tables(str(folder), "auto")
+    (table,) = read_tables(str(write_messages(folder, messages, plugin)), "auto")
     return table
 
 

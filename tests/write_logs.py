@@ -5,8 +5,9 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -63,32 +64,43 @@ def write_bam(path: Path, columns: Columns) -> Path:
     return path
 
 
-def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: bool = False) -> Path:
-    """A rosbag2 folder: joint states stamped by their headers, received later; commands without a header."""
+def write_messages(
+    folder: Path, messages: Iterable[tuple[str, Any, int]], plugin: StoragePlugin, compress: bool = False
+) -> Path:
+    """A rosbag2 folder of (topic, message, time of reception [ns])."""
     bag = Writer(folder, version=9, storage_plugin=plugin)
     if compress:
         bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with bag:
-        states = bag.add_connection("/joint_states", JOINT_STATE, typestore=STORE)
-        commands = bag.add_connection("/command", COMMAND, typestore=STORE)
-        for time, qpos, qvel, ctrl in zip(*columns.values(), strict=True):
-            now = EPOCH + round(time * 1e9)
-            bag.write(states, now + 1_234_567, STORE.serialize_cdr(joint_state(now, qpos, qvel), JOINT_STATE))
-            bag.write(commands, now, STORE.serialize_cdr(command(ctrl), COMMAND))
+        known: dict[str, Any] = {}
+        for topic, message, received in messages:
+            kind = message.__msgtype__
+            if topic not in known:
+                known[topic] = bag.add_connection(topic, kind, typestore=STORE)
+            bag.write(known[topic], received, STORE.serialize_cdr(message, kind))
     return folder
+
+
+def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: bool = False) -> Path:
+    """Joint states stamped by their headers, received later; commands without a header."""
+    rows = [(EPOCH + round(time * 1e9), *row) for time, *row in zip(*columns.values(), strict=True)]
+    states = [("/joint_states", joint_state(now, q, v), now + 1_234_567) for now, q, v, _ in rows]
+    commands = [("/command", command(u), now) for now, _, _, u in rows]
+    messages = (message for pair in zip(states, commands, strict=True) for message in pair)
+    return write_messages(folder, messages, plugin, compress)
 
 
 def joint_state(stamp: int, qpos: float, qvel: float, name: str = "knee"):
     """The state of one joint; a stamp of 0 is none."""
+    return joint_states(stamp, {name: qpos}, {name: qvel}, {})
+
+
+def joint_states(stamp: int, qpos: Mapping[str, float], qvel: Mapping[str, float], effort: Mapping[str, float]):
+    """The state of several joints by name."""
     types = STORE.types
     time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-    return types[JOINT_STATE](
-        header=types["std_msgs/msg/Header"](stamp=time, frame_id=""),
-        name=[name],
-        position=np.array([qpos], dtype=float),
-        velocity=np.array([qvel], dtype=float),
-        effort=np.zeros(0),
-    )
+    numbers = (np.array([*values.values()], dtype=float) for values in (qpos, qvel, effort))
+    return types[JOINT_STATE](types["std_msgs/msg/Header"](stamp=time, frame_id=""), [*qpos], *numbers)
 
 
 def command(value: float):
@@ -151,20 +163,11 @@ def write_robot_bag(
 
     A folder of SQLite for `ros2bag`, a single file for `mcap`.
     """
-    types = STORE.types
-    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    with Writer(path, version=9, storage_plugin=plugin) as bag:
-        topics = {topic: bag.add_connection(topic, JOINT_STATE, typestore=STORE) for topic in ("/joint_states", "/cmd")}
-        for now, state, commands in messages:
-            for topic, fields in (
-                ("/joint_states", (state["qpos"], state["qvel"], state["torque"])),
-                ("/cmd", (commands, {}, {})),
-            ):
-                position, velocity, effort = (np.array([*field.values()], dtype=float) for field in fields)
-                stamp = types["builtin_interfaces/msg/Time"](sec=now // 10**9, nanosec=now % 10**9)
-                header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-                message = types[JOINT_STATE](header, [*fields[0]], position, velocity, effort)
-                bag.write(topics[topic], now, STORE.serialize_cdr(message, JOINT_STATE))
+    sent = []
+    for now, state, commands in messages:
+        sent.append(("/joint_states", joint_states(now, state["qpos"], state["qvel"], state["torque"]), now))
+        sent.append(("/cmd", joint_states(now, commands, {}, {}), now))
+    write_messages(path, sent, StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3)
     return path if storage == "ros2bag" else next(path.glob("*.mcap"))
 
 

@@ -21,7 +21,6 @@ from frictionzoo.core.errors import OutputError
 
 MANIFEST = ".frictionzoo.jsonl"
 ABANDONED = 3600.0  # minimal age of an abandoned temporary file [s]
-_BLOCK = 1 << 20  # bytes read at a time
 _TOKEN = re.compile(r"[0-9a-f]{16}")
 _PART = r"\.[^/]+\.TOKEN\.part"
 _UNFINISHED = (
@@ -37,19 +36,15 @@ _LINKS = (
 
 
 class State(NamedTuple):
-    """Content that this program gave a file: size in bytes and hash.
-
-    `since` is the size before an append, which a killed process may leave incomplete; else it equals `size`.
-    """
+    """Content that this program gave a file: size in bytes and hash."""
 
     size: int
     sha256: str
-    since: int
 
     @classmethod
     def of(cls, content: bytes) -> "State":
         """Return the state of a file with this content."""
-        return cls(len(content), hashlib.sha256(content).hexdigest(), len(content))
+        return cls(len(content), hashlib.sha256(content).hexdigest())
 
 
 class Manifest:
@@ -120,17 +115,12 @@ class Manifest:
         self._unchanged[name] = _fingerprint(os.lstat(self.root / name))
 
     def append(self, name: str, content: bytes) -> None:
-        """Append to a file that this program wrote; OutputError as for `write`."""
-        if not content:
-            return
-        self.refuse([name])
-        path = self.root / name
-        with saying(path, len(content)):
-            before = path.read_bytes()
-            self.record({name: State.of(before + content)._replace(since=len(before))})
-            with open(path, "ab") as file:
-                file.write(content)
-            self._unchanged[name] = _fingerprint(os.lstat(path))
+        """Append to a file that this program wrote; the longer file replaces it whole, see `write`."""
+        if content:
+            self.refuse([name])
+            with saying(self.root / name):
+                before = (self.root / name).read_bytes()
+            self.write(name, before + content)
 
     def remove(self, name: str) -> None:
         """Remove a file that this program wrote, if it exists; OutputError for any other file of that name."""
@@ -303,8 +293,8 @@ def _parse(line: bytes) -> tuple[str, str, State | tuple[int, bytes] | str] | No
             content = entry["at"], bytes.fromhex(entry["bytes"])
             is_valid = type(content[0]) is int and len(content[1]) >= 8
         else:
-            content = State(*(entry[key] for key in State._fields))
-            is_valid = type(content.size) is type(content.since) is int and isinstance(content.sha256, str)
+            content = State(entry["size"], entry["sha256"])
+            is_valid = type(content.size) is int and isinstance(content.sha256, str)
         return (kind, name, content) if is_valid and isinstance(kind, str) and isinstance(name, str) else None
     return None
 
@@ -329,20 +319,11 @@ def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
 
 
 def _is_one_of(path: Path, states: Sequence[State]) -> bool:
-    """Return whether a file has one of these contents, or the content before an append and part of the addition."""
     size = path.stat().st_size
-    sizes = {size, *(state.since for state in states if state.since < size < state.size)}
-    written = {(state.size, state.sha256) for state in states}
-    return any((length, _hash(path, length)) in written for length in sizes & {length for length, _ in written})
-
-
-def _hash(path: Path, size: int) -> str:
-    digest = hashlib.sha256()
+    if size not in {state.size for state in states}:
+        return False
     with open(path, "rb") as file:
-        while size > 0 and (block := file.read(min(size, _BLOCK))):
-            digest.update(block)
-            size -= len(block)
-    return digest.hexdigest()
+        return State(size, hashlib.file_digest(file, "sha256").hexdigest()) in states
 
 
 def _read_at(path: Path, at: int, size: int) -> bytes:
