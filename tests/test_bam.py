@@ -41,43 +41,21 @@ def command(time: np.ndarray | float, phase: np.ndarray) -> np.ndarray:
     return 0.8 * np.sin(2 * np.pi * 0.6 * time + phase) + 0.4 * np.sin(2 * np.pi * 1.7 * time + 2 * phase)
 
 
-def share(bam: dict[str, Any], velocity: np.ndarray) -> np.ndarray:
-    return np.exp(-(np.abs(velocity / bam["dtheta_stribeck"]) ** bam["alpha"]))
-
-
-def m1(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
-    return bam["friction_base"]
-
-
-def m2(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
-    return bam["friction_base"] + share(bam, velocity) * bam["friction_stribeck"]
-
-
-def m3(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
-    return bam["friction_base"] + bam["load_friction_base"] * np.abs(external - motor)
-
-
-def m4(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
-    at_rest = bam["friction_stribeck"] + bam["load_friction_stribeck"] * np.abs(external - motor)
-    return m3(bam, motor, external, velocity) + share(bam, velocity) * at_rest
-
-
-def m5(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
-    always, at_rest = (
-        np.abs(bam[f"load_friction_external{part}"] * external - bam[f"load_friction_motor{part}"] * motor)
-        for part in ("", "_stribeck")
+def dry(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
+    """The limit of BAM's dry friction [N m]: m6 with its own terms, of which the other laws lack some."""
+    of = lambda name: bam.get(f"load_friction_{name}", 0.0)  # noqa: E731
+    load, at_rest = (
+        of(together) * np.abs(external - motor) + np.abs(of(f"external{part}") * external - of(f"motor{part}") * motor)
+        for together, part in (("base", ""), ("stribeck", "_stribeck"))
     )
-    return bam["friction_base"] + always + share(bam, velocity) * (bam["friction_stribeck"] + at_rest)
-
-
-def m6(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
-    driving = bam["load_friction_external_quad"] * external**2 * (np.abs(external) < np.abs(motor))
-    driven = bam["load_friction_motor_quad"] * motor**2 * (np.abs(external) > np.abs(motor))
+    always = bam["friction_base"] + load
+    if bam["model"] in ("m1", "m3"):
+        return always
+    driving = of("external_quad") * external**2 * (np.abs(external) < np.abs(motor))
+    driven = of("motor_quad") * motor**2 * (np.abs(external) > np.abs(motor))
     opposed = np.sign(external) != np.sign(motor)
-    return m5(bam, motor, external, velocity) + share(bam, velocity) * opposed * (driving + driven)
-
-
-DRY = {"m1": m1, "m2": m2, "m3": m3, "m4": m4, "m5": m5, "m6": m6}  # limit of dry friction [N m]
+    share = np.exp(-(np.abs(velocity / bam["dtheta_stribeck"]) ** bam["alpha"]))
+    return always + share * (bam["friction_stribeck"] + at_rest + opposed * (driving + driven))
 
 
 def simulate(bam: dict[str, Any], mass: np.ndarray, gain: np.ndarray, seconds: float) -> dict[str, np.ndarray]:
@@ -95,7 +73,7 @@ def simulate(bam: dict[str, Any], mass: np.ndarray, gain: np.ndarray, seconds: f
         duty = np.clip(gain * 0.166 * bam["error_gain_ratio"] * (goal - position), -0.97, 0.97)
         motor = bam["kt"] / bam["R"] * (SUPPLY * duty - bam["kt"] * velocity)
         external = -mass * GRAVITY * LENGTH * np.sin(position + bam["q_offset"])
-        limit = DRY[bam["model"]](bam, motor, external, velocity) + bam["friction_viscous"] * np.abs(velocity)
+        limit = dry(bam, motor, external, velocity) + bam["friction_viscous"] * np.abs(velocity)
         net = motor + external
         stop = inertia / STEP * velocity + net
         velocity = velocity + STEP / inertia * (net - np.clip(stop, -limit, limit))
@@ -192,7 +170,7 @@ def test_a_parameter_file_is_the_law_itself(write: Callable[..., Path], bam: dic
     state.qvel[:5] = 0.0
     section = {name: {"init": 1.0, "low": 0.0, "high": 2.0, "scale": 1.0, "identify": True} for name in drive.friction}
     terms = law(1, section).terms(np, {name: np.array(value) for name, value in drive.friction.items()}, state)
-    expected = DRY[bam["model"]](bam, state.motor_torque, state.external_torque, state.qvel)
+    expected = dry(bam, state.motor_torque, state.external_torque, state.qvel)
     np.testing.assert_allclose(terms.frictionloss, expected, rtol=1e-7)
     np.testing.assert_allclose(friction_budget(bam, state).frictionloss, expected, rtol=1e-12)
     assert terms.damping == bam["friction_viscous"]

@@ -14,7 +14,7 @@ from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
-from frictionzoo.export.bench import write_identified
+from frictionzoo.export.mjcf import write_identified
 from frictionzoo.export.nearest import nearest_frictionloss_and_damping
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
@@ -82,18 +82,12 @@ def export(bench, model, values=None):
     return text, float(joint.frictionloss[0]), float(joint.damping[0])
 
 
-def test_mujoco_default_is_exact(bench):
+def test_mujocos_friction_and_none_are_exact(bench):
     third = 1 / 3  # has no short decimal form: every digit must arrive
-    text, frictionloss, damping = export(bench, MujocoDefault(1, known(frictionloss=third, damping=third / 7)))
-    assert (frictionloss, damping) == (third, third / 7)
-    assert EXACT in text
-    assert NEAREST not in text
-
-
-def test_baseline_has_no_friction(bench):
-    text, frictionloss, damping = export(bench, Baseline(1, {}))
-    assert (frictionloss, damping) == (0, 0)
-    assert EXACT in text
+    own = MujocoDefault(1, known(frictionloss=third, damping=third / 7))
+    for model, expected in ((own, (third, third / 7)), (Baseline(1, {}), (0, 0))):
+        text, *friction = export(bench, model)
+        assert tuple(friction) == expected and EXACT in text and NEAREST not in text
 
 
 def test_known_coulomb_and_viscous_torque_of_all_terms_is_recovered(bench):
@@ -113,34 +107,24 @@ def test_friction_that_depends_on_the_state_is_not_exact(bench):
     assert 0.1 < frictionloss < 0.3
 
 
-@pytest.mark.parametrize(
-    ("loss", "viscous", "expected"),
-    [(0.3, -0.05, (True, False)), (-0.3, 0.5, (False, True)), (-0.3, -0.05, (False, False))],
-    ids=["negative damping", "negative dry friction", "both"],
-)
-def test_nearest_never_drives_the_joint(samples, loss, viscous, expected):
-    torque = loss * np.sign(samples.qvel) + viscous * samples.qvel
-    (frictionloss,), (damping,) = nearest_frictionloss_and_damping(torque, samples.qvel)
-    assert frictionloss >= 0 and damping >= 0
-    assert (frictionloss > 0, damping > 0) == expected
+def test_nearest_never_drives_the_joint(samples):
+    for loss, viscous in ((0.3, -0.05), (-0.3, 0.5), (-0.3, -0.05)):
+        torque = loss * np.sign(samples.qvel) + viscous * samples.qvel
+        (frictionloss,), (damping,) = nearest_frictionloss_and_damping(torque, samples.qvel)
+        assert frictionloss >= 0 and damping >= 0
+        assert (frictionloss > 0, damping > 0) == (loss > 0, viscous > 0)
 
 
-def test_nearest_is_taken_joint_by_joint():
-    velocity = np.random.default_rng(1).normal(size=(300, 2))
-    torque = np.array([0.1, 0.4]) * np.sign(velocity) + np.array([0.02, 0.03]) * velocity
-    frictionloss, damping = nearest_frictionloss_and_damping(torque, velocity)
-    np.testing.assert_allclose(frictionloss, [0.1, 0.4], rtol=1e-9)
-    np.testing.assert_allclose(damping, [0.02, 0.03], rtol=1e-9)
-
-
-def test_no_pair_nearby_is_nearer_to_stribeck(samples):
-    v = samples.qvel
+def test_no_pair_nearby_is_nearer_and_joints_are_apart(samples):
+    v = np.concatenate([samples.qvel, samples.qvel], axis=1)
     torque = (0.2 + 0.2 * np.exp(-((v / 0.1) ** 2))) * np.tanh(v / 0.01) + 0.05 * v
-    (frictionloss,), (damping,) = nearest_frictionloss_and_damping(torque, v)
-    lowest = np.sqrt(np.mean((torque - frictionloss * np.sign(v) - damping * v) ** 2))
+    torque[:, 1] = 0.4 * np.sign(v[:, 1]) + 0.03 * v[:, 1]
+    loss, damping = nearest_frictionloss_and_damping(torque, v)
+    np.testing.assert_allclose((loss[1], damping[1]), (0.4, 0.03), rtol=1e-9)
+    lowest = np.sqrt(np.mean((torque - loss * np.sign(v) - damping * v) ** 2, axis=0))[0]
     for change in ((1e-3, 0), (-1e-3, 0), (0, 1e-3), (0, -1e-3)):
-        other = torque - (frictionloss + change[0]) * np.sign(v) - (damping + change[1]) * v
-        assert np.sqrt(np.mean(other**2)) > lowest
+        other = torque - (loss + change[0]) * np.sign(v) - (damping + change[1]) * v
+        assert np.sqrt(np.mean(other**2, axis=0))[0] > lowest
 
 
 def test_a_drive_that_diverges_has_the_friction_nearest_to_its_law(bench):

@@ -19,9 +19,10 @@ from frictionzoo.api.identified import Identified
 from frictionzoo.bench import JointPD
 from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
-from frictionzoo.export.bench import Mjcf, write_bench, write_identified
+from frictionzoo.export.bench import write_bench
 from frictionzoo.export.in_place import InPlace
 from frictionzoo.export.isaaclab import IsaacLab
+from frictionzoo.export.mjcf import Mjcf, write_identified
 from frictionzoo.export.mjlab import Mjlab
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.robot import Equipped, put_into, say_whole
@@ -112,13 +113,12 @@ def test_rk4_moves_as_the_drive_in_continuous_time(delay: float, tmp_path: Path)
         assert file.difference is not None and file.difference.mean < 4e-4
 
 
-def put(fitted: Identified) -> Equipped:
+def put(fitted: Identified, actuators: str = "identified") -> Equipped:
     """The drive in the robot's own file, its friction as it is."""
     friction = fitted.values["friction"]
     nearest = Nearest(dict(fitted.values["bench"]), friction["frictionloss"], friction["damping"])
-    bench = write_bench(fitted, nearest)
-    path = Path(fitted.bench.source)
-    return put_into(path, fitted.bench.joints, "identified", fitted, nearest, bench).commented()
+    path, bench = Path(fitted.bench.source), write_bench(fitted, nearest)
+    return put_into(path, fitted.bench.joints, actuators, fitted, nearest, bench).commented()
 
 
 def actuators(robot: Equipped) -> list[dict[str, str]]:
@@ -148,11 +148,8 @@ def test_bristles_of_the_robots_own_do_not_add_to_what_was_identified(tmp_path: 
     robot = put(fitted)
     assert b"dcmotor" not in robot.content and b"\n\n" not in robot.content and robot.model.na == 0
     assert any("<dcmotor> of joint hip" in note for note in robot.notes)
-    nearest = Nearest(
-        dict(fitted.values["bench"]), *(fitted.values["friction"][n] for n in ("frictionloss", "damping"))
-    )
-    with pytest.raises(ExportError, match="a <dcmotor> keeps its bristles, which would add to the friction"):
-        put_into(Path(path), ["hip"], "keep", fitted, nearest, write_bench(fitted, nearest))
+    with pytest.raises(ExportError, match="a <dcmotor> keeps its bristles"):
+        put(fitted, "keep")
 
 
 def test_a_urdf_has_dynamics_and_the_armature_as_a_comment(tmp_path: Path) -> None:
@@ -161,6 +158,8 @@ def test_a_urdf_has_dynamics_and_the_armature_as_a_comment(tmp_path: Path) -> No
     fitted = fit(source)
     files = written(fitted)
     assert set(files) == {"bench.xml", "identified.urdf"}
+    armature, (_, file) = float(fitted.values["bench"]["armature"][0]), write_identified(fitted)
+    assert f"armature {armature!r}" in file.content.decode() and any("no armature" in limit for limit in file.limits)
     gone, come = lines(text, files["identified.urdf"].decode())
     assert gone == ['<dynamics damping="0.7" friction="0.4"/>']
     assert [re.split(r"[ >]", text)[0] for text in come] == ["<!--", "<dynamics", "<!--", "<dynamics", "<!--"]

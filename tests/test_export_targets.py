@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from conftest import trace_nothing
+from conftest import slow_but, trace_nothing
 from omegaconf import OmegaConf
 from test_levels import imports
 
@@ -22,14 +22,14 @@ from frictionzoo.bench import Bench, Robot
 from frictionzoo.cli.finished import export as main
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
-from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
+from frictionzoo.core.errors import BenchError, ConfigError, ExportError
 from frictionzoo.core.log import Payload
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import Written, get_target, target_names
-from frictionzoo.export.bench import Mjcf, write_bench
-from frictionzoo.export.mjx_module import Mjx
+from frictionzoo.export.bench import write_bench
+from frictionzoo.export.mjcf import Mjcf
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC, run_native, write_native
 from frictionzoo.export.nearest import find_nearest
@@ -59,11 +59,6 @@ ROBOT = """<mujoco>
   </worldbody>
   <actuator><position name="servo" joint="knee" kp="3" ctrlrange="-9 9" ctrllimited="true"/></actuator>
 </mujoco>"""
-URDF = """<robot name="leg"><link name="base"/>
-  <link name="shank"><inertial><mass value="1"/>
-    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="knee" type="revolute"><parent link="base"/><child link="shank"/><axis xyz="0 1 0"/>
-    <limit lower="-1" upper="1" effort="2" velocity="3"/></joint></robot>"""
 
 
 class Rubbing(FrictionModel):
@@ -128,6 +123,9 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     observed = {name: recorded.pop(name) for name in law.inputs}
     segments = Segments(*states, Signals(swings, recorded, observed), interval, load)
     values = {"bench": bench.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
+    if bench.nv > 1:
+        differing = {"armature": np.array([0.02, 0.05]), "delay": np.array([0.0034, 0.0012])}
+        values["bench"] |= {name: value for name, value in differing.items() if name in values["bench"]}
     result = {"settings": compose(*overrides), "model": law.name, "metrics": {"test": {"position_mae": 0.01}}}
     sampling = bench.sampling(interval)
     return Identified(Path("run"), result, bench, law, {}, values, segments, sampling, trace_nothing(segments))
@@ -138,14 +136,45 @@ def known(size):
 
 
 FRICTION = {"frictionloss": known(0.2), "damping": known(0.03)}
-RUBBING = Rubbing(1).double()
+RUBBING, TWO_RUBBING = (Rubbing(nv).double() for nv in (1, 2))
 LATE = "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, identify: true}"
 STIFF = "bench.solreffriction=[0.01,1.0]"
-NETWORK = ("history_network",)  # it remembers
+KNEE = ("mujoco_default", LATE, STIFF)
 SERVO = ("temperature_linear", "bench=xl330")  # with a payload, at a temperature
 LIMIT = "{init: 6.0, low: 1.0, high: 9.0, scale: log, identify: false}"
 JOINT = ("mujoco_default", LATE, "bench.actuator._target_=frictionzoo.bench.JointPD")
 LIMITED = (*JOINT, f"+bench.actuator.params.torque_limit={LIMIT}")
+LATE_SERVO = ("mujoco_default", "bench=xl330", LATE)
+SLIDE = ("mujoco_default", "bench=emps")
+JOINTS = "bench.joint=[shoulder,elbow]"
+ARM = """<mujoco><compiler angle="radian"/><option timestep="0.001"><flag contact="disable"/></option>
+  <worldbody><body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.01"/>
+    <inertial pos="0 0 -0.15" mass="0.5" diaginertia="0.004 0.004 0.001"/>
+    <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/>
+      <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0005"/></body></body></worldbody></mujoco>"""
+# Turned links, a joint beside its body's frame, a link that does not move.
+LEANING = """<mujoco><compiler angle="radian"/><option timestep="0.001" gravity="1 0 -9"/>
+  <option><flag contact="disable"/></option><worldbody>
+  <body name="foot" pos="0 0.1 0.2" euler="0.3 0.2 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body name="upper" pos="0 0.1 0" euler="0.4 -0.5 0.6"><joint name="shoulder" axis="0 1 0.5" pos="0.01 0.02 0.3"/>
+      <inertial pos="0 0.1 -0.15" euler="0.1 0.7 0.2" mass="0.5" diaginertia="0.004 0.003 0.002"/>
+      <body name="lower" pos="0 0 -0.3" euler="0 0 1"><joint name="elbow" axis="1 1 0" damping="0.01"/>
+        <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0005"/></body></body></body></worldbody>
+</mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def benches(tmp_path_factory):
+    """Folder of the benches `arm` and `leaning`."""
+    folder = tmp_path_factory.mktemp("benches")
+    for name, text in {"arm": ARM, "leaning": LEANING}.items():
+        (folder / f"{name}.xml").write_text(text)
+    return folder
+
+
+def two_joints(benches, law, bench, *more):
+    """A drive of two joints that differ."""
+    return make_fitted(law, f"bench.mjcf={benches / bench}.xml", JOINTS, *more)
 
 
 def write_drive(law, folder, target):
@@ -181,40 +210,45 @@ def test_a_modules_law_is_the_fitted_one(law, tmp_path):
                     np.testing.assert_allclose(one, other.detach(), rtol=1e-10, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("target", "drive"),
-    [
-        *((MujocoC, NETWORK), (MujocoC, SERVO), (MujocoC, LIMITED), (Mjcf, JOINT)),
-        *(pytest.param(Mjx, drive, marks=pytest.mark.slow) for drive in (SERVO, LIMITED)),
-    ],
-    ids=["mujoco-network", "mujoco-servo", "mujoco-joint", "mjcf-joint", "mjx-servo", "mjx-joint"],
-)
-def test_a_module_moves_the_bench_as_it_was_fitted(target, drive, tmp_path):
-    fitted = make_fitted(*drive)
-    export = target().write(fitted, tmp_path, {})
+MOVES = [  # target and options, drive
+    ("mujoco", ("history_network",)),  # it remembers
+    *(("mujoco", drive) for drive in (SERVO, LIMITED)),
+    *(("mjx", drive) for drive in (SERVO, LIMITED)),
+    ("mjcf", JOINT),
+    *((target, ("arm", TWO_RUBBING, LATE)) for target in ("mujoco", "mjx")),  # all terms, a memory, late commands
+    ("mjcf", ("arm", MujocoDefault(2, FRICTION), LATE)),
+    *((target, LATE_SERVO) for target in ("urdf", "sdf")),
+    *(("sdf armature=links", drive) for drive in (("mujoco_default",), SLIDE)),
+]
+SLOW = [("mjx", SERVO), ("mjx", LIMITED), MOVES[8]]
+
+
+@pytest.mark.parametrize(("target", "drive"), slow_but([case for case in MOVES if case not in SLOW], MOVES))
+def test_files_move_as_the_drive(target, drive, benches, tmp_path):
+    bench, *others = drive
+    fitted = two_joints(benches, others[0], bench, *others[1:]) if bench == "arm" else make_fitted(*drive)
+    name, *options = target.split()
+    export = get_target(name)().write(fitted, tmp_path, dict(option.split("=") for option in options))
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == set(export.files)
-    assert np.ptp(fitted.rollout()[0]) > 0.1
+    assert drive == SLIDE or np.ptp(fitted.rollout()[0], axis=(0, 1)).min() > 0.1
     assert export.differences[0].largest < EXACT
 
 
-def put_into_robot(tmp_path, text, name="robot.xml", **options):
-    """The export's folder, what was written and the robot's compiled model."""
-    robot = tmp_path / name
-    robot.write_text(text)
-    folder = tmp_path / "export"
+def put_into_robot(tmp_path, **options):
+    """The written file, the export, its compiled model and the drive's values."""
+    (tmp_path / "robot.xml").write_text(ROBOT)
+    folder, fitted = tmp_path / "export", make_fitted(*KNEE)
     folder.mkdir()
-    export = Mjcf().write(make_fitted("mujoco_default", LATE, STIFF), folder, {"into": str(robot), **options})
-    return folder / name, export, mujoco.MjModel.from_xml_path(str(folder / name))
+    export = Mjcf().write(fitted, folder, {"into": str(tmp_path / "robot.xml"), **options})
+    model = mujoco.MjModel.from_xml_path(str(folder / "robot.xml"))
+    return folder / "robot.xml", export, model, {**fitted.values["bench"], **fitted.values["friction"]}
 
 
 def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
-    path, export, model = put_into_robot(tmp_path, ROBOT)
-    before = mujoco.MjModel.from_xml_string(ROBOT)
-    values = make_fitted("mujoco_default", LATE, STIFF).values
-    knee, hip = model.joint("knee"), model.joint("hip")
-    assert knee.armature == values["bench"]["armature"]
-    assert knee.frictionloss == values["friction"]["frictionloss"]
-    assert knee.damping[0] == values["friction"]["damping"]
+    path, export, model, values = put_into_robot(tmp_path)
+    before, knee, hip = mujoco.MjModel.from_xml_string(ROBOT), model.joint("knee"), model.joint("hip")
+    assert knee.armature == values["armature"]
+    assert (knee.frictionloss, knee.damping[0]) == (values["frictionloss"], values["damping"])
     assert hip.damping[0] == 0.5 and hip.frictionloss == 0 and hip.armature == 0
     np.testing.assert_array_equal(model.body_mass, before.body_mass)  # to the last digit
     assert "<!-- mine -->" in path.read_text()
@@ -227,9 +261,8 @@ def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
 
 
 def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):
-    path, export, model = put_into_robot(tmp_path, ROBOT, joint="hip,knee")
-    armature = make_fitted("mujoco_default", LATE, STIFF).values["bench"]["armature"]
-    np.testing.assert_array_equal(model.dof_armature, np.repeat(armature, 2))
+    path, export, model, values = put_into_robot(tmp_path, joint="hip,knee")
+    np.testing.assert_array_equal(model.dof_armature, np.repeat(values["armature"], 2))
     assert model.nu == 2
     np.testing.assert_array_equal(model.actuator_delay, [0.0034, 0.0034])
     own = mujoco.MjModel.from_xml_path(str(path.with_name("bench.xml")))
@@ -239,19 +272,9 @@ def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):
 
 
 def test_a_robots_actuators_can_stay(tmp_path):
-    _, export, model = put_into_robot(tmp_path, ROBOT, actuator="keep")
+    _, export, model, _ = put_into_robot(tmp_path, actuator="keep")
     assert model.nu == 1 and model.actuator("servo").gainprm[0] == 3
     assert export.differences[1].largest == 0
-
-
-def test_urdf_gets_friction_and_damping_and_says_what_it_lacks(tmp_path):
-    path, export, model = put_into_robot(tmp_path, URDF, name="leg.urdf")
-    values = make_fitted("mujoco_default", LATE, STIFF).values
-    assert model.dof_frictionloss == values["friction"]["frictionloss"]
-    assert model.dof_damping == values["friction"]["damping"]
-    armature = float(values["bench"]["armature"][0])
-    assert f"armature {armature!r}" in path.read_text()
-    assert any("no armature" in limit and f"{armature:.6g}" in limit for limit in export.limits)
 
 
 def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
@@ -283,10 +306,6 @@ def test_bristles_are_mujocos_own_as_steps_get_short(tmp_path):
     assert bias[3:6].tolist() == [friction[n] for n in ("kinetic_torque", "static_torque", "stribeck_velocity")]
     assert bristles[5:7].tolist() == [friction["stiffness"], friction["micro_damping"]]
     assert model.dof_damping == friction["viscous_coefficient"] and model.na == 1
-    with pytest.raises(ExportError, match="law=native: MuJoCo has no coulomb_stribeck, expected lugre or dahl"):
-        MujocoC().write(make_fitted("coulomb_stribeck"), tmp_path, {"law": "native"})
-    with pytest.raises(ConfigError, match="law=own; expected module or native"):
-        MujocoC().write(fitted, tmp_path, {"law": "own"})
 
 
 @pytest.mark.parametrize("law", ["lugre", "dahl"])
@@ -378,37 +397,40 @@ def test_friction_torque_over_jax_is_the_laws(tmp_path):
 class Hidden(FrictionModel):
     """A law that keeps what cannot be written down."""
 
-    name = "hidden"
+    name, table = "hidden", np.ones(1)
 
     def terms(self, xp, values, state):
         """Asks an object."""
         return FrictionTerms(torque=self.table * state.qvel)
 
 
-def test_a_law_that_cannot_be_written_down_says_why(tmp_path):
-    law = Hidden(1)
-    law.table = np.ones(1)
-    with pytest.raises(ExportError, match=r"Hidden: table is a ndarray, expected a number"):
-        MujocoC().write(make_fitted(law), tmp_path, {})
+STS3215 = ("mujoco_default", "bench=sts3215", "bench.timestep=0.001")
+UPRIGHT = (*SLIDE, "+bench.gravity=[9.81,0,0]")
+REFUSED = [  # drive, target and options, error, what it names
+    *((("coulomb_stribeck",), "mujoco law=native", ExportError, "law=native"),),
+    *((("lugre",), "mujoco law=own", ConfigError, "law=own"), ((Hidden(1),), "mujoco", ExportError, "Hidden: table")),
+    *((("coulomb_stribeck",), "onnx dtype=float16", ConfigError, "dtype=float16"),),
+    *((KNEE, "bam", ExportError, "PositionPD"), (STS3215, "bam servo=sts321", ConfigError, "did you mean sts3215")),
+    *((SLIDE, target, ExportError, "Force") for target in ("mjlab", "isaaclab")),
+    (("mujoco_default", "bench=xl330"), "sdf armature=links", ExportError, "payload"),
+    (UPRIGHT, "sdf armature=links", ExportError, "gravity acts along the slide carriage"),
+    (SLIDE, "sdf armature=rotor", ConfigError, "armature=rotor"),
+    (KNEE, "mjcf into=nowhere.xml", ConfigError, "into=nowhere.xml: No such file"),
+    (KNEE, "mjcf into=robot.xml joint=kneee", ConfigError, "joint=kneee: .*did you mean knee"),
+    (KNEE, "mjcf into=robot.xml joint=knee,knee", ConfigError, "joint=knee,knee"),
+    (KNEE, "mjcf into=notes.xml", ConfigError, "into=notes.xml: <notes>"),
+    (KNEE, "mjcf into=broken.xml", ConfigError, "into=broken.xml: not XML"),
+    (KNEE, "mjcf into=empty.xml", BenchError, "empty.xml"),
+    (KNEE, "mjcf into=slide.xml", ExportError, "joint=knee: .*expected a hinge"),
+    (KNEE, "mjcf into=robot.xml actuator=mine", ConfigError, "actuator=mine"),
+    (KNEE, "mjcf into=parts.xml", ConfigError, "into=parts.xml: .*<include>"),
+    (KNEE, "mjcf into=twice.xml", ConfigError, "joint=knee: 2 actuators"),
+    (KNEE, "mjcf joint=knee", ConfigError, "joint=knee without into"),
+]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    {
-        "no such file": ({"into": "nowhere.xml"}, r"into=nowhere.xml: No such file"),
-        "no such joint": ({"into": "robot.xml", "joint": "kneee"}, r"joint=kneee: no such joint .*did you mean knee"),
-        "twice": ({"into": "robot.xml", "joint": "knee,knee"}, r"expected each joint once"),
-        "no robot": ({"into": "notes.xml"}, r"into=notes.xml: <notes>, expected <mujoco>"),
-        "broken": ({"into": "broken.xml"}, r"into=broken.xml: not XML"),
-        "uncompiled": ({"into": "empty.xml"}, r"empty.xml: MuJoCo does not take it"),
-        "slide": ({"into": "slide.xml"}, r"joint=knee: another type of joint .*expected a hinge"),
-        "actuator": ({"into": "robot.xml", "actuator": "mine"}, r"actuator=mine: expected identified or keep"),
-        "include": ({"into": "parts.xml"}, r"into=parts.xml: it has an <include>"),
-        "two actuators": ({"into": "twice.xml"}, r"joint=knee: 2 actuators, expected one at most"),
-        "joint alone": ({"joint": "knee"}, r"joint=knee without into"),
-    }.values(),
-)
-def test_a_robot_that_cannot_take_the_drive_is_refused(options, message, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("drive", "target", "error", "named"), REFUSED, ids=[f"{c[1]}-{c[3]}" for c in REFUSED])
+def test_what_a_target_cannot_write_is_refused_in_a_line(drive, target, error, named, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     texts = {
         "robot": ROBOT,
@@ -417,17 +439,18 @@ def test_a_robot_that_cannot_take_the_drive_is_refused(options, message, tmp_pat
         "parts": ROBOT.replace("<actuator>", '<include file="a.xml"/><actuator>'),
         "twice": ROBOT.replace("</actuator>", '<motor joint="knee"/></actuator>'),
         "slide": ROBOT.replace('name="knee"', 'name="knee" type="slide"'),
+        "empty": '<mujoco><worldbody><body><joint name="knee" mass="1"/></body></worldbody></mujoco>',
     }
-    texts["empty"] = '<mujoco><worldbody><body><joint name="knee" mass="1"/></body></worldbody></mujoco>'
     for name, text in texts.items():
         Path(f"{name}.xml").write_text(text)
-    with pytest.raises(FrictionzooError, match=message) as caught:
-        Mjcf().write(make_fitted("mujoco_default", LATE, STIFF), tmp_path, options)
+    name, *options = target.split()
+    with pytest.raises(error, match=named) as caught:
+        get_target(name)().write(make_fitted(*drive), tmp_path, dict(option.split("=") for option in options))
     assert "\n" not in str(caught.value)
 
 
 def test_a_longer_step_keeps_every_other_sample_and_its_history():
-    fitted = make_fitted("mujoco_default", LATE, STIFF)
+    fitted = make_fitted(*KNEE)
     slower = fitted.at(0.002)
     assert slower.timestep == 0.002 and slower.segments.length == fitted.segments.length // 2
     np.testing.assert_array_equal(slower.segments.qpos, fitted.segments.qpos[:, ::2])
@@ -537,88 +560,47 @@ def test_targets_are_those_of_the_guide():
             assert f"`{option}=" in guide, option
 
 
-ARM = """<mujoco><compiler angle="radian"/><option timestep="0.001"><flag contact="disable"/></option>
-  <worldbody><body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.01"/>
-    <inertial pos="0 0 -0.15" mass="0.5" diaginertia="0.004 0.004 0.001"/>
-    <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/>
-      <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0005"/></body></body></worldbody></mujoco>"""
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    """Overrides of the bench of an arm."""
-    path = tmp_path_factory.mktemp("arm") / "arm.xml"
-    path.write_text(ARM)
-    return f"bench.mjcf={path}", "bench.joint=[shoulder,elbow]"
-
-
-LEANING = """<mujoco><compiler angle="radian"/><option timestep="0.001" gravity="1 0 -9"/>
-  <option><flag contact="disable"/></option><worldbody>
-  <body name="foot" pos="0 0.1 0.2" euler="0.3 0.2 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-    <body name="upper" pos="0 0.1 0" euler="0.4 -0.5 0.6"><joint name="shoulder" axis="0 1 0.5" pos="0.01 0.02 0.3"/>
-      <inertial pos="0 0.1 -0.15" euler="0.1 0.7 0.2" mass="0.5" diaginertia="0.004 0.003 0.002"/>
-      <body name="lower" pos="0 0 -0.3" euler="0 0 1"><joint name="elbow" axis="1 1 0" damping="0.01"/>
-        <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0005"/></body></body></body></worldbody>
-</mujoco>"""
-
-
-def export_leaning(target, tmp_path):
-    """Turned links, a joint beside its body's frame, a link that does not move; what MuJoCo's reader lacks is given."""
-    (tmp_path / "leaning.xml").write_text(LEANING)
-    arm = f"bench.mjcf={tmp_path / 'leaning.xml'}", "bench.joint=[shoulder,elbow]"
-    fitted = make_fitted(MujocoDefault(2, FRICTION), *arm)
-    fitted.values["bench"]["armature"][:] = [0.02, 0.05]
-    folder = tmp_path / "export"
-    folder.mkdir()
-    export = target().write(fitted, folder, {})
+@pytest.mark.parametrize("target", ["urdf", "sdf"])
+def test_links_have_friction_and_the_armature_that_drake_reads(target, benches, tmp_path):
+    fitted = two_joints(benches, MujocoDefault(2, FRICTION), "leaning")
+    export = get_target(target)().write(fitted, tmp_path, {})
     assert export.differences[0].largest < EXACT and np.ptp(fitted.rollout()[0], axis=(0, 1)).min() > 0.1
-    (file,) = export.files
-    (armature,) = [limit for limit in export.limits if "Only Drake reads the armature, 0.02, 0.05 kg m^2" in limit]
-    assert armature.endswith("set it where a program has one. Gazebo has none.")
-    return fitted, ET.parse(folder / file).getroot()
-
-
-def test_a_urdf_moves_as_the_bench_with_the_armature_that_drake_reads(tmp_path):
-    fitted, robot = export_leaning(Urdf, tmp_path)
-    assert [float(tag.get("value")) for tag in robot.iter(f"{{{DRAKE}}}rotor_inertia")] == [0.02, 0.05]
-    joints = robot.findall("ros2_control/joint")
-    assert [joint.get("name") for joint in joints] == ["shoulder", "elbow"]
-    assert [joint.find("command_interface").get("name") for joint in joints] == 2 * ["position"]
-    gains = {param.get("name"): float(param.text) for param in joints[0].findall("param")}
-    assert gains == {"stiffness": fitted.values["bench"]["kp"][0], "damping": fitted.values["bench"]["kd"][0]}
-
-
-@pytest.mark.parametrize("target", [Urdf, Sdf], ids=lambda target: target.name)
-def test_links_of_a_late_servo_with_a_payload_move_as_its_bench(target, tmp_path):
-    fitted = make_fitted("mujoco_default", "bench=xl330", LATE)
-    export = target().write(fitted, tmp_path, {"supply": "7.4"} if "supply" in target.options else {})
-    assert export.differences[0].largest < EXACT
-    assert any("supply 7.4" in limit for limit in export.limits) == ("supply" in target.options)
-
-
-def test_an_sdf_moves_as_the_bench_and_has_its_friction(tmp_path):
-    fitted, root = export_leaning(Sdf, tmp_path)
-    bench = mujoco.MjModel.from_xml_string(write_bench(fitted, find_nearest(fitted)))
-    masses = [float(mass.text) for mass in root.iter("mass")]
-    assert masses == bench.body_mass[1:].tolist()
-    poses = [link.find("pose").get("relative_to") for link in root.iter("link")]
-    assert poses == [None, "foot", "upper"]
-    joints = {joint.get("name"): joint for joint in root.iter("joint")}
-    assert [joint.get("type") for joint in joints.values()] == ["fixed", "revolute", "revolute"]
+    assert any("0.02, 0.05 kg m^2" in limit for limit in export.limits)
+    (file,), bench = export.files, mujoco.MjModel.from_xml_string(write_bench(fitted, find_nearest(fitted)))
+    root = ET.parse(tmp_path / file).getroot()
+    joints = {joint.get("name"): joint for joint in root.iter("joint") if joint.get("type")}
+    kinds = ["fixed", *2 * ["revolute" if target == "sdf" else "continuous"]]
+    assert [joint.get("type") for joint in joints.values()] == kinds
+    assert [float(of(tag)) for tag in root.iter("mass")] == bench.body_mass[1:].tolist()
+    armatures = [float(of(tag)) for tag in root.iter(f"{{{DRAKE}}}rotor_inertia")]
+    assert armatures == fitted.values["bench"]["armature"].tolist()
     for index, name in enumerate(fitted.bench.joints):
-        numbers = {tag.tag: tag.text for tag in joints[name].iter()}
-        assert [float(word) for word in numbers["xyz"].split()] == bench.joint(name).axis.tolist()
-        assert float(numbers["damping"]) == bench.dof_damping[index]
-        assert float(numbers["friction"]) == bench.dof_frictionloss[index]
-        assert float(numbers[f"{{{DRAKE}}}rotor_inertia"]) == fitted.values["bench"]["armature"][index]
-        assert numbers[f"{{{DRAKE}}}gear_ratio"] == "1"
+        axis, dynamics = joints[name].find("axis"), joints[name].find(".//dynamics")
+        text = axis.get("xyz") or axis.findtext("xyz")
+        assert [float(word) for word in text.split()] == bench.joint(name).axis.tolist()
+        own = {"damping": bench.dof_damping[index], "friction": bench.dof_frictionloss[index]}
+        assert {key: float(dynamics.get(key) or dynamics.findtext(key)) for key in own} == own
+    if target == "urdf":
+        controlled = root.findall("ros2_control/joint")
+        assert [joint.find("command_interface").get("name") for joint in controlled] == 2 * ["position"]
+        gains = {param.get("name"): float(param.text) for param in controlled[0].findall("param")}
+        assert gains == {"stiffness": fitted.values["bench"]["kp"][0], "damping": fitted.values["bench"]["kd"][0]}
+
+
+def of(tag):
+    """The value of an element: its attribute in URDF, its text in SDFormat."""
+    return tag.get("value") or tag.text
+
+
+def test_a_servos_gains_are_those_at_the_given_supply(tmp_path):
+    export = Urdf().write(make_fitted(*LATE_SERVO), tmp_path, {"supply": "7.4"})
+    assert any("supply 7.4" in limit for limit in export.limits)
 
 
 def test_an_sdf_has_one_name_for_one_thing(tmp_path):
     """The carriage slides on a joint of its name."""
-    fitted = make_fitted("mujoco_default", "bench=emps")
-    export = Sdf().write(fitted, tmp_path, {})
-    assert export.differences[0].largest < EXACT
+    fitted = make_fitted(*SLIDE)
+    assert Sdf().write(fitted, tmp_path, {}).differences[0].largest < EXACT
     root = ET.parse(tmp_path / "bench.sdf").getroot()
     (link,), (joint,) = root.iter("link"), root.iter("joint")
     assert (link.get("name"), joint.get("name"), joint.get("type")) == ("carriage_link", "carriage", "prismatic")
@@ -626,51 +608,20 @@ def test_an_sdf_has_one_name_for_one_thing(tmp_path):
     assert inertia == {"ixx": 1e-6, "iyy": 1e-6, "izz": 1e-6, "ixy": 0, "ixz": 0, "iyz": 0}
 
 
-@pytest.mark.parametrize("options", [("data=twin",), ("bench=emps",)], ids=["hinge", "slide"])
-def test_links_of_an_sdf_can_have_the_armature(options, tmp_path):
-    """For programs whose joints have none: no rotor, and an inertia that is one of a body."""
-    fitted = make_fitted("mujoco_default", *options)
-    export = Sdf().write(fitted, tmp_path, {"armature": "links"})
-    assert export.differences[0].largest < EXACT and any("in the links" in limit for limit in export.limits)
+@pytest.mark.parametrize("drive", [("mujoco_default",), SLIDE], ids=["hinge", "slide"])
+def test_links_with_the_armature_are_bodies_without_rotors(drive, tmp_path):
+    export = Sdf().write(make_fitted(*drive), tmp_path, {"armature": "links"})
+    assert any("in the links" in limit for limit in export.limits)
     root = ET.parse(tmp_path / "bench.sdf").getroot()
     inertia = {tag.tag: float(tag.text) for tag in root.find(".//inertia")}
     assert root.find(f".//{{{DRAKE}}}rotor_inertia") is None
     assert inertia["ixx"] + inertia["izz"] > inertia["iyy"]
 
 
-@pytest.mark.parametrize(
-    ("options", "place", "line"),
-    [
-        (("bench=xl330",), "links", "its payload is that of a link"),
-        (("bench=emps", "+bench.gravity=[9.81,0,0]"), "links", "gravity acts along the slide carriage"),
-        (("bench=emps",), "rotor", "armature=rotor: expected joints or links"),
-    ],
-)
-def test_an_armature_that_links_cannot_have_is_refused(options, place, line, tmp_path):
-    with pytest.raises(FrictionzooError, match=line):
-        Sdf().write(make_fitted("mujoco_default", *options), tmp_path, {"armature": place})
-
-
-TWO_RUBBING = Rubbing(2).double()
-
-
-@pytest.mark.parametrize(
-    "target", [pytest.param(Mjcf, marks=pytest.mark.slow), MujocoC, Mjx], ids=lambda target: target.name
-)
-def test_a_drive_of_several_joints(target, arm, tmp_path):
-    """All terms, a memory and late commands, in modules; in MJCF, its own friction."""
-    fitted = make_fitted(MujocoDefault(2, FRICTION) if target is Mjcf else TWO_RUBBING, *arm, LATE)
-    fitted.values["bench"]["armature"][:] = [0.02, 0.05]
-    fitted.values["bench"]["delay"][:] = [0.0034, 0.0012]
-    assert target().write(fitted, tmp_path, {}).differences[0].largest < EXACT
-    assert np.ptp(fitted.rollout()[0], axis=(0, 1)).min() > 0.1
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-def test_a_law_of_several_joints_is_refitted_joint_by_joint(arm):
-    fitted = make_fitted(Rubbing(2), *arm)
-    fitted.values["bench"]["armature"][:] = [0.02, 0.05]
+def test_a_law_of_several_joints_is_refitted_joint_by_joint(benches):
+    fitted = two_joints(benches, Rubbing(2), "arm")
     nearest = find_nearest(fitted)
     # The law lies between 0.1 and 0.2 N m, and its armatures are not confused.
     assert ((nearest.frictionloss > 0.05) & (nearest.frictionloss < 0.4)).all()

@@ -21,7 +21,7 @@ from frictionzoo import __version__
 from frictionzoo.api.identified import Identified
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.state import DriveState
-from frictionzoo.export.bench import write_identified
+from frictionzoo.export.mjcf import write_identified
 from frictionzoo.identification import Problem
 from frictionzoo.identification.solve import judge_baseline
 from frictionzoo.models import Baseline, FrictionModel

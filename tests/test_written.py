@@ -22,7 +22,7 @@ from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, JointPD, PositionPD
 from frictionzoo.bench.delay import is_filtered, read_filter, write_delay
 from frictionzoo.core.log import Payload
-from frictionzoo.export.bench import write_identified
+from frictionzoo.export.mjcf import write_identified
 from frictionzoo.models import MujocoDefault
 from frictionzoo.report.terminal import summarise
 

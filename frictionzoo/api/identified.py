@@ -48,7 +48,7 @@ class Identified(FittedDrive):
 
     def _write(self, folder: Path, began: float) -> Result:
         # Imported late: plotting libraries slow down reading a run.
-        from frictionzoo.export.bench import write_identified
+        from frictionzoo.export.mjcf import write_identified
         from frictionzoo.report.replay import record_replay
         from frictionzoo.report.run_page import write_report
         from frictionzoo.report.run_plots import write_figures

@@ -28,8 +28,13 @@ _LONGEST = 200  # characters of a file name
 _AT_ONCE = 1e3  # faster than any command [rad/s]: otherwise BAM's STS3215 follows commands at its default speed
 _INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
 _KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
-_SMOOTH = ("coulomb_smooth", "coulomb_stribeck")
-_STICKS = "BAM's joint sticks at rest, where the law's smooth sign lets it creep."
+_VISCOUS = {"friction_viscous": "viscous_coefficient"}
+_SMOOTH: Mapping[str, tuple[str, Mapping[str, str]]] = {
+    "coulomb_smooth": ("m1", {"friction_base": "static_torque", **_VISCOUS}),
+    "coulomb_stribeck": ("m2", {"friction_base": "kinetic_torque", **_VISCOUS, "dtheta_stribeck": "stribeck_velocity"}),
+}
+_NAMES = {name: (model, names) for model, (name, names) in LAWS.items()} | _SMOOTH
+"""BAM's model for each friction model, and the parameter for each of BAM's parameters."""
 
 
 @register_target("bam")
@@ -100,7 +105,7 @@ def _to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str], list[
     remarks, lacks = list[str](), ["friction follows the torques of the step before"]
     lacks += [f"m3 is no {name}" for name in dict.fromkeys(names[joint] for joint in others)]
     if any(name in _SMOOTH and law for name, law in zip(names, laws, strict=True)):
-        remarks.append(_STICKS)
+        remarks.append("BAM's joint sticks at rest, where the law's smooth sign lets it creep.")
         lacks.append("it sticks at rest")
     if others:
         nearest, nearest_remarks = _nearest(fitted, others)
@@ -112,18 +117,12 @@ def _rename(fitted: FittedDrive, joint: int) -> dict[str, Any] | None:
     """Return BAM's parameters of a joint's friction model; None if BAM has no such model."""
     law, index, prefix = fitted.model.of_joint(joint)
     values = {name: float(fitted.values["friction"][prefix + name][index]) for name in law.params}
-    for model, (name, names) in LAWS.items():
-        if law.name == name:
-            return {"model": model, **{bam: values[param] for bam, param in names.items()}}
-    if law.name == "coulomb_smooth":
-        base, viscous = values["static_torque"], values["viscous_coefficient"]
-        return {"model": "m1", "friction_base": base, "friction_viscous": viscous}
-    if law.name == "coulomb_stribeck" and values["static_torque"] >= values["kinetic_torque"]:
-        excess = values["static_torque"] - values["kinetic_torque"]
-        stribeck = {"dtheta_stribeck": values["stribeck_velocity"], "friction_stribeck": excess, "alpha": 2.0}
-        friction = {"friction_base": values["kinetic_torque"], "friction_viscous": values["viscous_coefficient"]}
-        return {"model": "m2", **friction, **stribeck}
-    return None
+    excess = values.get("static_torque", 0.0) - values.get("kinetic_torque", 0.0)
+    if law.name not in _NAMES or excess < 0:
+        return None
+    model, names = _NAMES[law.name]
+    renamed = {"model": model, **{bam: values[param] for bam, param in names.items()}}
+    return renamed | ({"friction_stribeck": excess, "alpha": 2.0} if law.name == "coulomb_stribeck" else {})
 
 
 def _nearest(fitted: FittedDrive, joints: Sequence[int]) -> tuple[dict[int, dict[str, Any]], list[str]]:

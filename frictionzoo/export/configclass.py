@@ -5,27 +5,22 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import indent
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import write_literal
-from frictionzoo.export.base import Export, Target, measure
+from frictionzoo.export.base import Export, Target, match_joint, measure
 from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, list_lacks, motors, read_inputs, run_joints, say_common
 from frictionzoo.export.nearest import Nearest, find_nearest
+from frictionzoo.export.variants import at_rest
 from frictionzoo.result.fitted_drive import FittedDrive
 
 LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
 """Attributes of a `Motor` that limit its torque."""
-
-
-class Field(NamedTuple):
-    """Keyword of a configuration class, its value, and its unit for a comment."""
-
-    name: str
-    value: object
-    unit: str = ""
+MOTOR = {name: name for name in ("stiffness", "damping", *LIMITS)}
+"""Keywords of gains and torque limits, which have the same names in all programs."""
 
 
 class ConfigFile(Target):
@@ -35,8 +30,10 @@ class ConfigFile(Target):
         program: Name of the simulator.
         head: Docstring of the file.
         module: Module of the configuration classes.
+        classes: Class of a motor without delay, with a delay, and with a torque-speed line.
         keyed: Whether `ACTUATORS` is a dict by joint instead of a tuple.
-        keywords: Keywords of armature, dry friction, viscous friction and delay [steps].
+        keywords: Property by keyword, see `_list_properties`; infinite limits and delays of 0 are left out.
+        late_dc: Whether the class with a torque-speed line has a delay.
     """
 
     options: ClassVar[Mapping[str, str]] = INPUTS
@@ -45,12 +42,10 @@ class ConfigFile(Target):
     file: ClassVar[str]
     head: ClassVar[str]
     module: ClassVar[str]
+    classes: ClassVar[tuple[str, str, str]]
     keyed: ClassVar[bool]
-    keywords: ClassVar[tuple[str, str, str, str]]
-
-    @abstractmethod
-    def configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
-        """Return class and keywords of a joint's actuator."""
+    keywords: ClassVar[Mapping[str, str]]
+    late_dc: ClassVar[bool] = True
 
     @abstractmethod
     def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
@@ -60,10 +55,10 @@ class ConfigFile(Target):
         """See `Target.write`."""
         inputs = read_inputs(fitted, options)
         drives, nearest = motors(fitted, inputs), find_nearest(fitted)
-        calls = [self.configure(fitted, nearest, joint, drive) for joint, drive in enumerate(drives)]
-        imports = f"from {self.module} import {', '.join(sorted({cls for cls, _ in calls}))}"
+        calls = [self._configure(fitted, nearest, joint, drive) for joint, drive in enumerate(drives)]
+        imports = f"from {self.module} import {', '.join(sorted({call.partition('(')[0] for call in calls}))}"
         keys = [f"{write_literal(name)}: " if self.keyed else "" for name in fitted.bench.joints]
-        body = "".join(key + _write_call(*call) for key, call in zip(keys, calls, strict=True))
+        body = "".join(key + call for key, call in zip(keys, calls, strict=True))
         opening, closing = "{}" if self.keyed else "()"
         text = f'"""{self.head}"""\n\n{imports}\n\nACTUATORS = {opening}\n{indent(body, "    ")}{closing}\n'
         (folder / self.file).write_text(text, encoding="utf-8")
@@ -76,6 +71,20 @@ class ConfigFile(Target):
         limits = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives))
         return Export((self.file,), (difference,), limits)
 
+    def _configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> str:
+        properties, has_line = _list_properties(fitted, nearest, joint, motor), np.isfinite(motor.saturation_effort)
+        if has_line and not self.late_dc:
+            properties["delay"] = 0, ""
+        late = bool(properties["delay"][0])
+        names = [match_joint(fitted.bench.joints[joint])]
+        properties["joint"] = names if self.keyed else tuple(names), ""
+        lines = [f"{self.classes[2 if has_line else late]}("]
+        for keyword, name in self.keywords.items():
+            value, unit = properties[name]
+            if (late or name != "delay") and (name not in LIMITS or np.isfinite(value)):
+                lines.append(f"    {keyword}={write_literal(value)}," + (f"  # {unit}" if unit else ""))
+        return "\n".join([*lines, "),\n"])
+
     def read(self, text: str) -> list[Joint]:
         """Read each joint from a written file, without running it."""
         (value,) = (node.value for node in ast.parse(text).body if isinstance(node, ast.Assign))
@@ -83,33 +92,23 @@ class ConfigFile(Target):
         return [self._read_call(call) for call in calls if isinstance(call, ast.Call)]
 
     def _read_call(self, call: ast.Call) -> Joint:
-        fields: dict[str, Any] = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
-        *friction, delay = self.keywords
-        armature, loss, damping = (float(fields[name]) for name in friction)
-        motor = Motor(fields["stiffness"], fields["damping"], **{k: fields[k] for k in LIMITS if k in fields})
-        return Joint(motor, armature, loss, damping, fields.get(delay, 0))
+        of = {self.keywords[str(keyword.arg)]: ast.literal_eval(keyword.value) for keyword in call.keywords}
+        motor = Motor(**{name: of[name] for name in MOTOR if name in of})
+        return Joint(motor, of["armature"], of["frictionloss"], of["viscous_damping"], of.get("delay", 0))
 
 
-def list_motor(fitted: FittedDrive, motor: Motor) -> list[Field]:
-    """List the keywords of gains and torque limits, which have the same names in all programs."""
-    units = UNITS[fitted.bench.joint_type]
-    gains = [
-        Field("stiffness", motor.stiffness, units["stiffness"]),
-        Field("damping", motor.damping, f"{units['damping']}, of the controller"),
-    ]
-    if not np.isfinite(motor.saturation_effort):
-        limited = np.isfinite(motor.effort_limit)
-        return gains + ([Field("effort_limit", motor.effort_limit, units["torque"])] if limited else [])
-    limit_units = (f"{units['torque']}, at standstill", f"{units['velocity']}, without load", units["torque"])
-    return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(LIMITS, limit_units, strict=True)]
-
-
-def list_delay(fitted: FittedDrive, joint: int, *names: str) -> list[Field]:
-    """List the keywords of smallest and largest delay [steps]; none without a delay."""
-    steps = lag(fitted, joint)
-    return [Field(name, steps, "steps") for name in names] if steps else []
-
-
-def _write_call(cls: str, fields: list[Field]) -> str:
-    lines = [f"    {f.name}={write_literal(f.value)}," + (f"  # {f.unit}" if f.unit else "") for f in fields]
-    return "\n".join([f"{cls}(", *lines, "),\n"])
+def _list_properties(fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> dict[str, tuple[Any, str]]:
+    """Return what keywords can have, each with its unit for a comment."""
+    units, torque = UNITS[fitted.bench.joint_type], UNITS[fitted.bench.joint_type]["torque"]
+    return {
+        "stiffness": (motor.stiffness, units["stiffness"]),
+        "damping": (motor.damping, f"{units['damping']}, of the controller"),
+        "saturation_effort": (motor.saturation_effort, f"{torque}, at standstill"),
+        "velocity_limit": (motor.velocity_limit, f"{units['velocity']}, without load"),
+        "effort_limit": (motor.effort_limit, torque),
+        "delay": (lag(fitted, joint), "steps"),
+        "armature": (nearest.bench["armature"][joint], units["inertia"]),
+        "static_friction": (at_rest(fitted, fitted.values, nearest.frictionloss)[joint], f"{torque}, at rest"),
+        "frictionloss": (nearest.frictionloss[joint], torque),
+        "viscous_damping": (nearest.damping[joint] + fitted.bench.own_damping[joint], units["damping"]),
+    }

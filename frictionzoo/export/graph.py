@@ -27,7 +27,6 @@ LIMITS = (
     "Outputs torque, frictionloss and damping of shape (batch, nv). Subtract torque + damping * qvel from the drive's "
     "torque; dry friction is whatever stops the joint, at most frictionloss. What the law does not use is 0.",
 )
-_OBSERVED = "Besides, the inputs {names} of the same shape: the friction law looks at them too."
 
 
 class Graph(torch.nn.Module):
@@ -58,24 +57,24 @@ def signals(model: FrictionModel) -> tuple[str, ...]:
     return tuple(name for name in DriveState._fields if name in model.inputs or name not in DriveState._field_defaults)
 
 
-def list_units(fitted: FittedDrive) -> dict[str, str]:
-    """Return the unit of each input and output of a model's file, by name."""
+def list_units(fitted: FittedDrive) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the unit of each input, and of each output, of a model's file, by name."""
     units = UNITS[fitted.bench.joint_type]
+    states = {"qpos": units["position"], "qvel": units["velocity"], "ctrl": "as it was recorded"}
+    states |= dict.fromkeys(("motor_torque", "external_torque"), units["torque"])
     outputs = {"torque": units["torque"], "frictionloss": units["torque"], "damping": units["damping"]}
-    torques = dict.fromkeys(("motor_torque", "external_torque"), units["torque"])
-    states = {"qpos": units["position"], "qvel": units["velocity"], "ctrl": "as it was recorded", **torques}
-    return {**{name: states.get(name, "degC") for name in signals(fitted.model)}, **outputs}
+    return {name: states.get(name, "degC") for name in signals(fitted.model)}, outputs
 
 
 def list_facts(fitted: FittedDrive) -> dict[str, str]:
     """Return the metadata of a model's file as text: model, joints, units and usage."""
-    inputs, units = signals(fitted.model), list_units(fitted)
+    inputs, outputs = map(json.dumps, list_units(fitted))
     return {
         "producer": f"frictionzoo {__version__}",
         "law": fitted.model.name,
         "joints": json.dumps(fitted.bench.joints),
-        "inputs": json.dumps({name: units[name] for name in inputs}),
-        "outputs": json.dumps({name: unit for name, unit in units.items() if name not in inputs}),
+        "inputs": inputs,
+        "outputs": outputs,
         "sampling": "a function of one instant, to be evaluated in each step of the simulation; identified in steps "
         f"of {fitted.timestep:g} s, from samples each {fitted.segments.timestep:g} s",
         "use": LIMITS[1],
@@ -118,5 +117,8 @@ class GraphFile(Target):
         write_atomically(path, self.serialise(Graph(model, dtype), rows, fitted))
         inputs = samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()
         terms = FrictionTerms(*(np.asarray(term, np.float64) for term in self.run(path, inputs)))
-        observed = (_OBSERVED.format(names=", ".join(model.inputs)),) if model.inputs else ()
-        return Export((self.file,), (compare(fitted, terms, self.runtime),), (*LIMITS, *observed, *self.remarks))
+        limits = [*LIMITS, *self.remarks]
+        if model.inputs:
+            names = ", ".join(model.inputs)
+            limits.insert(2, f"Besides, the inputs {names} of the same shape: the friction law looks at them too.")
+        return Export((self.file,), (compare(fitted, terms, self.runtime),), tuple(limits))

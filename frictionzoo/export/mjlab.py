@@ -1,12 +1,8 @@
 """Target `mjlab`: mjlab actuator configurations."""
 
-import numpy as np
-
-from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import match_joint, register_target
-from frictionzoo.export.configclass import ConfigFile, Field, list_delay, list_motor
+from frictionzoo.export.base import register_target
+from frictionzoo.export.configclass import MOTOR, ConfigFile
 from frictionzoo.export.motor import Motor
-from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.fitted_drive import FittedDrive
 
 
@@ -22,19 +18,16 @@ class Mjlab(ConfigFile):
 
 EntityArticulationInfoCfg(actuators=ACTUATORS); set joint names to those of your robot.
 """
-    keywords = ("armature", "frictionloss", "viscous_damping", "delay_min_lag")
-
-    def configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
-        """See `ConfigFile.configure`."""
-        units, limited = UNITS[fitted.bench.joint_type], np.isfinite(motor.saturation_effort)
-        return "DcMotorActuatorCfg" if limited else "BuiltinPositionActuatorCfg", [
-            Field("target_names_expr", (match_joint(fitted.bench.joints[joint]),)),
-            *list_motor(fitted, motor),
-            Field("armature", nearest.bench["armature"][joint], units["inertia"]),
-            Field("frictionloss", nearest.frictionloss[joint], units["torque"]),
-            Field("viscous_damping", nearest.damping[joint] + fitted.bench.own_damping[joint], units["damping"]),
-            *list_delay(fitted, joint, "delay_min_lag", "delay_max_lag"),
-        ]
+    classes = ("BuiltinPositionActuatorCfg", "BuiltinPositionActuatorCfg", "DcMotorActuatorCfg")
+    keywords = {
+        "target_names_expr": "joint",
+        **MOTOR,
+        "armature": "armature",
+        "frictionloss": "frictionloss",
+        "viscous_damping": "viscous_damping",
+        "delay_min_lag": "delay",
+        "delay_max_lag": "delay",
+    }
 
     def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
         """See `ConfigFile.say_more`."""

@@ -15,8 +15,7 @@ from mujoco import mjx
 from frictionzoo.core.state import Signals
 from frictionzoo.core.templates import Code
 from frictionzoo.export.base import Export, Target, measure, register_target
-from frictionzoo.export.module import load_module, write_module
-from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
+from frictionzoo.export.module import BENCH, MODULE, load_module, write_drive
 from frictionzoo.export.simulate import PAYLOADS, commands_before
 from frictionzoo.result.fitted_drive import FittedDrive
 
@@ -31,16 +30,12 @@ class Mjx(Target):
         """See `Target.write`."""
         # MJX allocates friction constraints only for joints with frictionloss > 0; each step sets their values.
         loss = np.array(fitted.model.constrained, float) if fitted.model.constraint else None
-        (folder / BENCH).write_text(write_bare_bench(fitted, loss))
-        written = write_module(
-            *(fitted, folder, "mjx_drive.py.jinja", MODULE),
-            late_remark=Code("commands act late." if "delay" in fitted.values["bench"] else "they act at once."),
-        )
+        late = Code("commands act late." if "delay" in fitted.values["bench"] else "they act at once.")
+        written = write_drive(fitted, folder, "mjx_drive.py.jinja", loss, late_remark=late)
         with jax.enable_x64(True):
             difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
-        limits = ["The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."]
-        limits += [PAYLOADS] if fitted.bench.payload is not None else []
-        return Export((*written, BENCH), (difference,), tuple(limits))
+        limit = "The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."
+        return Export(written, (difference,), (limit, *([PAYLOADS] if fitted.bench.payload is not None else [])))
 
 
 def _run(folder: Path, fitted: FittedDrive) -> Float[np.ndarray, "batch time nv"]:

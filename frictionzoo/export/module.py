@@ -1,7 +1,6 @@
 """Self-contained Python modules with a drive's friction model and values."""
 
 import importlib.util
-from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,7 +16,20 @@ from frictionzoo.export.source import Source, read_source, write_values
 from frictionzoo.models import TorchFriction
 from frictionzoo.result.fitted_drive import FittedDrive
 
-WEIGHTS = "weights.npz"
+MODULE, BENCH, WEIGHTS = "drive.py", "bench.xml", "weights.npz"
+
+
+def write_drive(
+    fitted: FittedDrive, folder: Path, template: str, frictionloss: np.ndarray | None = None, **more: Any
+) -> tuple[str, ...]:
+    """Write a module and the bench's MJCF without the friction and the delay, which the module adds.
+
+    See `write_module`.
+    """
+    values = {name: value for name, value in fitted.values["bench"].items() if name != "delay"}
+    remarks = (f"Friction is in {MODULE} beside this file.",)
+    (folder / BENCH).write_text(fitted.bench.mjcf(values, frictionloss, comments=remarks))
+    return (*write_module(fitted, folder, template, MODULE, **more), BENCH)
 
 
 def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
@@ -33,8 +45,37 @@ def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **
             f"{fitted.model.name}: it exists only in torch, expected a formula that can be written down; take "
             "target=torchscript or onnx"
         )
+    model, bench = fitted.model, fitted.bench
     values, large = write_values(fitted.values["friction"])
-    text = render(template, **_describe(fitted, values, bool(large)), **more)
+    law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
+    actuator, shared = read_source(bench.actuator, "control"), Source()
+    shared.take(law)
+    shared.take(actuator)
+    text = render(
+        template,
+        units={dimension: Code(unit) for dimension, unit in UNITS[bench.joint_type].items()},
+        imports=[Code(text) for text in shared.imports.values() if text != "import numpy as np"],
+        functions=[Code(text) for text in shared.functions.values()],
+        law_class=law.as_class("Law", "The friction law, MODEL in frictionzoo."),
+        actuator_class=actuator.as_class("Actuator", "The actuator law, ACTUATOR_LAW in frictionzoo."),
+        model=model.name,
+        actuator_law=type(bench.actuator).__name__,
+        joints=bench.joints,
+        timestep=fitted.timestep,
+        inputs=tuple(bench.actuator.inputs),
+        commands=bench.actuator.commands,
+        without=dict(bench.actuator.optional_inputs),
+        observed=bench.observed,
+        signals=signals(model),
+        example_inputs=Code(", inputs" if bench.inputs else ""),
+        values=values,
+        weights=WEIGHTS if large else "",
+        actuator=write_values(fitted.values["bench"])[0],
+        constraint=model.constraint,
+        memory=model.memory,
+        controls=controls(fitted),
+        **more,
+    )
     (folder / name).write_text(text, encoding="utf-8")
     if not large:
         return (name,)
@@ -45,39 +86,6 @@ def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **
 def render(template: str, **context: Any) -> str:
     """Render a Python file from a template of this package; text becomes a literal, except `Code`."""
     return open_template(f"export/{template}").render(version=Code(__version__), **context).lstrip()
-
-
-def _describe(fitted: FittedDrive, values: Code, weights: bool) -> Mapping[str, Any]:
-    model = fitted.model
-    law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
-    actuator = read_source(fitted.bench.actuator, "control")
-    shared = Source()
-    shared.take(law)
-    shared.take(actuator)
-    return {
-        "units": {dimension: Code(unit) for dimension, unit in UNITS[fitted.bench.joint_type].items()},
-        "imports": [Code(text) for text in shared.imports.values() if text != "import numpy as np"],
-        "functions": [Code(text) for text in shared.functions.values()],
-        "law_class": law.as_class("Law", "The friction law, MODEL in frictionzoo."),
-        "actuator_class": actuator.as_class("Actuator", "The actuator law, ACTUATOR_LAW in frictionzoo."),
-        "model": model.name,
-        "actuator_law": type(fitted.bench.actuator).__name__,
-        "joints": fitted.bench.joints,
-        "timestep": fitted.timestep,
-        "inputs": tuple(fitted.bench.actuator.inputs),
-        "commands": fitted.bench.actuator.commands,
-        "without": dict(fitted.bench.actuator.optional_inputs),
-        "observed": fitted.bench.observed,
-        "signals": signals(model),
-        "example_inputs": Code(", inputs" if fitted.bench.inputs else ""),
-        "values": values,
-        "weights": WEIGHTS if weights else "",
-        "actuator": write_values(fitted.values["bench"])[0],
-        "constraint": model.constraint,
-        "memory": model.memory,
-        "controls": controls(fitted),
-        "delayed": "delay" in fitted.values["bench"],
-    }
 
 
 def controls(fitted: FittedDrive) -> bool:

@@ -19,13 +19,23 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import Signals
 from frictionzoo.export.base import list_values, read_number
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.export.simulate import Step, simulate
+from frictionzoo.export.simulate import simulate
 from frictionzoo.result.fitted_drive import FittedDrive
 
 INPUTS: Mapping[str, str] = {
     "gain": "of a servo's firmware; the recordings' median where it is left out",
     "supply": "of a servo [V]; the recordings' median where it is left out",
 }
+_SAID: Mapping[str, str] = {
+    "torque_low": "The torque's range is not symmetrical; limits in the file are those of its upper end.",
+    "torque_saturation": "It has no smooth saturation: the torque that this approaches is a hard limit in the file.",
+    "delay": "Delays are whole steps of {timestep} s: {delays}.",
+    "position_offset": "The position offset, {} {position}, is not in the file: add it to measured positions and to "
+    "commands.",
+    "torque_offset": "The constant torque, {} {torque}, is not in the file: add it, divided by the stiffness, to "
+    "position targets, as for the difference.",
+}
+"""What a file lacks of a bench with this parameter."""
 _NEVER = 3.0  # times the stall torque: only reached by a joint driven backwards at twice the no-load speed
 
 
@@ -140,20 +150,22 @@ def lag(fitted: FittedDrive, joint: int) -> int:
 
 def run_joints(fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
     """Simulate the long test rollouts in MuJoCo C with a configuration file's joints and `nearest`'s offset."""
-    delay = np.array([joint.lag * fitted.timestep for joint in joints])
-    delays = {"delay": delay} if "delay" in fitted.values["bench"] else {}
+    has_delay = "delay" in fitted.values["bench"]
+    delays = {"delay": np.array([joint.lag * fitted.timestep for joint in joints])} if has_delay else {}
     written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **delays}})
-    return simulate(_compile(fitted, nearest, joints), written, _step(fitted, joints))
-
-
-def _compile(fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
-    """Compile the bench with this friction, and with `ctrl` as the torque of the actuators."""
     _, armature, loss, damping, _ = map(np.array, zip(*joints, strict=True))
     bench = {name: value for name, value in nearest.bench.items() if name != "delay"} | {"armature": armature}
     text = fitted.bench.mjcf(bench, loss if loss.any() else None, damping - fitted.bench.own_damping)
     model = mujoco.MjModel.from_xml_string(text)
-    model.actuator_gainprm[:, 0], model.actuator_biasprm[:] = 1, 0
-    return model
+    model.actuator_gainprm[:, 0], model.actuator_biasprm[:] = 1, 0  # `ctrl` is the torque
+    aims_of = aim(fitted, [joint.motor for joint in joints])
+
+    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+        for index, (joint, aimed) in enumerate(zip(joints, aims_of(signals), strict=True)):
+            data.ctrl[index] = joint.motor.torque(float(aimed), float(data.qpos[index]), float(data.qvel[index]))
+        mujoco.mj_step(model, data)
+
+    return simulate(model, written, step)
 
 
 def aim(fitted: FittedDrive, drives: Sequence[Motor]) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
@@ -164,19 +176,6 @@ def aim(fitted: FittedDrive, drives: Sequence[Motor]) -> Callable[[Signals], Flo
     offset = fitted.values["bench"].get("torque_offset", 0.0)
     shift = offset / np.array([drive.stiffness for drive in drives])
     return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if combined else signals.ctrl) + shift
-
-
-def _step(fitted: FittedDrive, joints: Sequence[Joint]) -> Step:
-    aims_of = aim(fitted, [joint.motor for joint in joints])
-
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
-        aims = aims_of(signals)
-        for index, joint in enumerate(joints):
-            state = float(aims[index]), float(data.qpos[index]), float(data.qvel[index])
-            data.ctrl[index] = joint.motor.torque(*state)
-        mujoco.mj_step(model, data)
-
-    return step
 
 
 def list_lacks(fitted: FittedDrive, nearest: Nearest) -> list[str]:
@@ -194,53 +193,28 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest) -> list[str]:
 
 def say_common(fitted: FittedDrive, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
     """List the limits common to the configuration files of all simulators; `program` is the simulator's name."""
-    values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
+    law, values = fitted.bench.actuator, fitted.values["bench"]
     limits = [
         f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
         "of their class in MuJoCo C.",
         *([nearest.remark] if nearest.remark else []),
     ]
-    limits += _say_commands(fitted)
+    commands = ("ctrl_velocity", "ctrl_torque") if isinstance(law, JointPD | RecordedPD) else ()
+    if feedforward := [name for name in commands if np.any(fitted.segments.acting.inputs[name])]:
+        limits.append(
+            f"The recordings have {' and '.join(feedforward)}: give ctrl + (kd ctrl_velocity + ctrl_torque) / kp as "
+            "position target, as for the difference, with kp and kd as they were commanded."
+        )
+    if commands and (values["torque_gain"] != 1).any():
+        listed = list_values(values["torque_gain"])
+        limits.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
     if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
         limits.append(
             f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain. Braking adds "
             "back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that reason."
         )
-    if "delay" in values:
-        delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values["delay"]))
-        rounded = ", ".join(delays)
-        limits.append(f"Delays are whole steps of {fitted.timestep:g} s: {rounded}.")
-    if "position_offset" in values:
-        listed = list_values(values["position_offset"])
-        limits.append(
-            f"The position offset, {listed} {units['position']}, is not in the file: add it to measured positions and "
-            "to commands."
-        )
-    if "torque_offset" in values:
-        listed = list_values(values["torque_offset"])
-        limits.append(
-            f"The constant torque, {listed} {units['torque']}, is not in the file: add it, divided by the stiffness, "
-            "to position targets, as for the difference."
-        )
-    return limits
-
-
-def _say_commands(fitted: FittedDrive) -> list[str]:
-    law, values, limits = fitted.bench.actuator, fitted.values["bench"], []
-    if not isinstance(law, JointPD | RecordedPD):
-        return limits
-    feedforward = [name for name in ("ctrl_velocity", "ctrl_torque") if np.any(fitted.segments.acting.inputs[name])]
-    if feedforward:
-        limits.append(
-            f"The recordings have {' and '.join(feedforward)}: give ctrl + (kd ctrl_velocity + ctrl_torque) / kp as "
-            "position target, as for the difference, with kp and kd as they were commanded."
-        )
-    if (values["torque_gain"] != 1).any():
-        listed = list_values(values["torque_gain"])
-        limits.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
-    if "torque_low" in values:
-        limits.append("The torque's range is not symmetrical; limits in the file are those of its upper end.")
-    if "torque_saturation" in values:
-        limits.append("It has no smooth saturation: the torque that this approaches is a hard limit in the file.")
-    return limits
+    delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values.get("delay", ())))
+    words = {**UNITS[fitted.bench.joint_type], "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}
+    said = {name: sentence for name, sentence in _SAID.items() if name in values}
+    return limits + [sentence.format(list_values(values[name]), **words) for name, sentence in said.items()]

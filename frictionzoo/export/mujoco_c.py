@@ -16,13 +16,12 @@ from frictionzoo.core.templates import Code
 from frictionzoo.core.xml import write_xml
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.bench import say_limits
-from frictionzoo.export.module import controls, load_module, write_module
+from frictionzoo.export.module import BENCH, MODULE, controls, load_module, write_drive
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import PAYLOADS, commands_before, run_loaded, simulate
 from frictionzoo.export.skeleton import find_free_name
 from frictionzoo.result.fitted_drive import FittedDrive
 
-MODULE, BENCH = "drive.py", "bench.xml"
 FORMS = ("module", "native")
 LAWS = ("lugre", "dahl")  # friction models of MuJoCo's dcmotor
 REASON = "MuJoCo takes the bristles' torque at a step's beginning, the drive at its end"
@@ -45,28 +44,24 @@ class MujocoC(Target):
             raise ConfigError(f"law={law}; expected {' or '.join(FORMS)}")
         if law == "native":
             return _write_native(fitted, folder)
-        (folder / BENCH).write_text(write_bare_bench(fitted))
-        written = write_module(
-            *(fitted, folder, "mujoco_drive.py.jinja", MODULE),
-            example_install=Code("drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ..."),
-        )
-        limits = ["It runs as MuJoCo's control callback, in Python: a step takes longer than without."]
-        limits += [PAYLOADS] if fitted.bench.payload is not None else []
+        command = Code("drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ...")
+        written = write_drive(fitted, folder, "mujoco_drive.py.jinja", example_install=command)
         difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
-        return Export((*written, BENCH), (difference,), tuple(limits))
+        limit = "It runs as MuJoCo's control callback, in Python: a step takes longer than without."
+        return Export(written, (difference,), (limit, *([PAYLOADS] if fitted.bench.payload is not None else [])))
 
 
 def _write_native(fitted: FittedDrive, folder: Path) -> Export:
     text = write_native(fitted)
     (folder / BENCH).write_text(text)
     difference = measure("qpos", fitted, run_native(text, fitted), fitted.rollout()[0], reason=REASON)
-    limits = [
+    exact = Nearest(dict(fitted.values["bench"]), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
+    limits = (
         f"{REASON}: the equations are one, and so are the motions as steps get short; stiff bristles need shorter "
         "steps than the drive.",
         "`act` of the dcmotor is the bend of the bristles: 0 is a joint without load, not one that holds it; the "
         "difference begins with the drive's own.",
-    ]
-    exact = Nearest(dict(fitted.values["bench"]), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
+    )
     return Export((BENCH,), (difference,), (*limits, *say_limits(fitted, exact)))
 
 
@@ -116,12 +111,6 @@ def run_native(text: str, fitted: FittedDrive) -> Float[np.ndarray, "batch time 
         data.act[:] = deflection[rollout]
 
     return run_loaded(mujoco.MjModel.from_xml_string(text), fitted, begin=begin)
-
-
-def write_bare_bench(fitted: FittedDrive, frictionloss: np.ndarray | None = None) -> str:
-    """Return the bench's MJCF without friction and delay, which the module adds."""
-    values = {name: value for name, value in fitted.values["bench"].items() if name != "delay"}
-    return fitted.bench.mjcf(values, frictionloss, comments=(f"Friction is in {MODULE} beside this file.",))
 
 
 def _run(folder: Path, fitted: FittedDrive) -> np.ndarray:

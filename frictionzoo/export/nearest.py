@@ -74,13 +74,12 @@ def find_nearest(fitted: FittedDrive) -> Nearest:
     except RunError:
         residual = torque - sliding_torque(np, FrictionTerms(frictionloss=start[0], damping=start[1]), velocity)
         rms, unit = _list(np.sqrt(np.square(residual).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
-        return Nearest(
-            *(bench, *start),
-            f"A frictionloss and a damping are no {_name(fitted, exact)}, and the fitted drive diverges in its own "
-            f"{fitted.over}, so that they could not be refitted to those: they are the nearest to the law's torque at "
-            f"the measured states, from which they differ by {rms} {unit} RMS.{_say_others(model, exact)}",
-            _lack(fitted, exact),
+        what = (
+            f", and the fitted drive diverges in its own {fitted.over}, so that they could not be refitted to those: "
+            f"they are the nearest to the law's torque at the measured states, from which they differ by {rms} {unit} "
+            "RMS"
         )
+        return Nearest(*(bench, *start), *_describe(fitted, exact, what))
     return _refit(fitted, rollouts, *start, exact)
 
 
@@ -134,7 +133,7 @@ def _refit_each(
             armature, loss, damping = _read(objective, vector)
             pairs = ((initial.bench["armature"], armature), (initial.frictionloss, loss), (initial.damping, damping))
             armature, loss, damping = (np.where(exact, drawn, refitted) for drawn, refitted in pairs)
-            texts = _say(fitted, "drawn", rms, exact), _lack(fitted, exact)
+            texts = _describe(fitted, exact, _say_refit(fitted, "drawn", rms))
             drives.append(Nearest({**initial.bench, "armature": armature}, loss, damping, *texts))
     return drives
 
@@ -152,11 +151,8 @@ def _follow(fitted: FittedDrive, values: Values | None = None) -> Segments:
 def _read(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> tuple[Float[np.ndarray, "nv"], ...]:
     """Return armature, frictionloss and damping of a coordinate vector."""
     values = objective.space.values(jnp.asarray(vector))
-    friction = values["friction"]
-    return tuple(
-        np.array(value, np.float64)
-        for value in (values["bench"]["armature"], friction["frictionloss"], friction["damping"])
-    )
+    both = values["bench"] | values["friction"]
+    return tuple(np.array(both[name], np.float64) for name in ("armature", "frictionloss", "damping"))
 
 
 def _refuse_long(fitted: FittedDrive, count: int, exact: Bool[np.ndarray, "nv"]) -> None:
@@ -205,8 +201,8 @@ def _refit(
         f" ({before:.3g} {units['position']} with the friction nearest to the law's torque); armature "
         f"{_list(bench['armature'][~exact])} instead of {_list(identified[~exact])} {units['inertia']}"
     )
-    remark = _say(fitted, "fitted", after, exact, details)
-    return Nearest(bench, friction["frictionloss"], friction["damping"], remark, _lack(fitted, exact))
+    texts = _describe(fitted, exact, _say_refit(fitted, "fitted", after) + details)
+    return Nearest(bench, friction["frictionloss"], friction["damping"], *texts)
 
 
 def _pose(
@@ -234,13 +230,18 @@ def _pose(
     return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False), rollout
 
 
-def _say(fitted: FittedDrive, whose: str, rms: float, exact: Bool[np.ndarray, "nv"], details: str = "") -> str:
-    """Describe the refit to the rollouts of the `fitted` or a `drawn` drive, and the remaining distance."""
+def _say_refit(fitted: FittedDrive, whose: str, rms: float) -> str:
     return (
-        f"A frictionloss and a damping are no {_name(fitted, exact)}: they and the armature were refitted to the "
-        f"{whose} drive's own {fitted.over} and leave a position difference of {rms:.3g} "
-        f"{UNITS[fitted.bench.joint_type]['position']} RMS{details}.{_say_others(fitted.model, exact)}"
+        f": they and the armature were refitted to the {whose} drive's own {fitted.over} and leave a position "
+        f"difference of {rms:.3g} {UNITS[fitted.bench.joint_type]['position']} RMS"
     )
+
+
+def _describe(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"], what: str) -> tuple[str, str]:
+    """Return `remark` and `lacks` of a `Nearest`; `what` continues the remark."""
+    name = _name(fitted, exact)
+    others = f" Those of the other joints are their law's{_say_where(fitted.model)}." if exact.any() else ""
+    return f"A frictionloss and a damping are no {name}{what}.{others}", f"frictionloss and damping are no {name}"
 
 
 def _take_exact(
@@ -252,19 +253,11 @@ def _take_exact(
     return Nearest(bench, loss, damping, say_law(model), f"friction of one {', '.join(model.inputs)}")
 
 
-def _lack(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"]) -> str:
-    return f"frictionloss and damping are no {_name(fitted, exact)}"
-
-
 def _name(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"]) -> str:
     """Name the friction models that MuJoCo does not have, and their joints unless all joints have one."""
     joints = np.flatnonzero(~exact).tolist()
     laws = ", ".join(dict.fromkeys(fitted.model.of_joint(joint)[0].name for joint in joints))
     return f"{laws} (of {name_some([fitted.bench.joints[joint] for joint in joints])})" if exact.any() else laws
-
-
-def _say_others(model: FrictionModel, exact: Bool[np.ndarray, "nv"]) -> str:
-    return f" Those of the other joints are their law's{_say_where(model)}." if exact.any() else ""
 
 
 def _list(values: Float[np.ndarray, "nv"]) -> str:

@@ -43,7 +43,19 @@ class Onnx(GraphFile):
                 )
             finally:
                 logger.setLevel(level)
-        return _describe(_without_traces(program.model_proto), fitted).SerializeToString()
+        proto, facts = program.model_proto, list_facts(fitted)
+        units = {name: unit for group in list_units(fitted) for name, unit in group.items()}
+        # Source locations of all nodes: paths of this machine, and most of the file.
+        for part in (proto.graph, *proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
+            del part.metadata_props[:]
+        proto.producer_name, proto.producer_version = "frictionzoo", __version__
+        proto.doc_string = f"Friction law {facts['law']}: {facts['sampling']}. {facts['use']}"
+        for signal in (*proto.graph.input, *proto.graph.output):
+            signal.doc_string = units[signal.name]
+        del proto.metadata_props[:]
+        for key, value in facts.items():
+            proto.metadata_props.add(key=key, value=value)
+        return proto.SerializeToString()
 
     def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
         """See `GraphFile.run`."""
@@ -51,22 +63,3 @@ class Onnx(GraphFile):
 
         session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
         return tuple(map(np.asarray, session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})))
-
-
-def _without_traces(proto: Any) -> Any:
-    """Remove the source locations of all nodes: paths of this machine, and most of the file."""
-    for holder in (proto.graph, *proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
-        del holder.metadata_props[:]
-    return proto
-
-
-def _describe(proto: Any, fitted: FittedDrive) -> Any:
-    facts, units = list_facts(fitted), list_units(fitted)
-    proto.producer_name, proto.producer_version = "frictionzoo", __version__
-    proto.doc_string = f"Friction law {facts['law']}: {facts['sampling']}. {facts['use']}"
-    for signal in (*proto.graph.input, *proto.graph.output):
-        signal.doc_string = units[signal.name]
-    del proto.metadata_props[:]
-    for key, value in facts.items():
-        proto.metadata_props.add(key=key, value=value)
-    return proto

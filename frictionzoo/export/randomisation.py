@@ -1,7 +1,7 @@
 """Target `randomisation`: drives drawn within the uncertainty of the identification, for training a policy."""
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -21,7 +21,7 @@ from frictionzoo.export.motor import INPUTS, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, find_nearest_each
 from frictionzoo.export.robot import ACTUATORS, put_into
 from frictionzoo.export.simulate import run_loaded
-from frictionzoo.export.variants import Quantity, Ranges, Variants, draw_variants, list_quantities, read_ranges
+from frictionzoo.export.variants import Quantity, Variants, draw_variants, list_quantities, read_ranges
 from frictionzoo.result.fitted_drive import FittedDrive
 
 SAMPLES, FOLDER, NOMINAL = "samples.npz", "samples", "nominal"
@@ -33,19 +33,11 @@ Drive = tuple[FittedDrive, Nearest]
 OPERATIONS = ("abs", "scale")
 GAINS = ("actuator.stiffness", "actuator.damping")
 FRICTION = ("joint.static_friction", "joint.frictionloss", "joint.damping")
-_ENTITY = "Set ENTITY and JOINTS to the names in your scene."
-_MEANING = (
+_ABOUT = (
     "A 95 % interval says how well these recordings fix a value of this law on this unit. Other units, payloads, "
-    "temperatures and days are not in it: export with ranges= that hold them."
+    "temperatures and days are not in it: export with ranges= that hold them. Set ENTITY and JOINTS to the names in "
+    "your scene."
 )
-
-
-class _Asked(NamedTuple):
-    ranges: Ranges
-    count: int
-    files: int
-    seed: int
-    operation: str
 
 
 @register_target("randomisation")
@@ -67,32 +59,28 @@ class Randomisation(Target):
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        asked = _read(fitted, options)
-        variants = draw_variants(fitted, asked.count, asked.seed, asked.ranges)
+        operation = options.get("operation", OPERATIONS[0])
+        if operation not in OPERATIONS:
+            raise ConfigError(f"operation={operation}: no such operation; {closest(operation, OPERATIONS)}")
+        count = _read_count(options, "count", _COUNT, 2, _MOST)
+        number = _read_count(options, "files", min(_FILES, count), 1, count)
+        ranges = read_ranges(options["ranges"], fitted) if "ranges" in options else {}
+        seed = _read_count(options, "seed", 0, 0, 2**31)
+        variants = draw_variants(fitted, count, seed, ranges)
         nominal, refitted = find_nearest(fitted), find_nearest_each(fitted, variants.all)
         joint_quantities = list_quantities(variants, nominal, refitted, read_inputs(fitted, options))
         quantities, delays = (*variants.parameters, *joint_quantities), _list_delays(variants)
-        write_samples(folder / SAMPLES, fitted, quantities, asked.seed)
+        write_samples(folder / SAMPLES, fitted, quantities, seed)
         for program in (MJLAB, ISAAC_LAB):
-            text = write_events(program, fitted, quantities, delays, asked.operation)
+            text = write_events(program, fitted, quantities, delays, operation)
             compile(text, program.file, "exec")
             (folder / program.file).write_text(text, encoding="utf-8")
-        drawn = [replace(fitted, values=variants.at(number)) for number in range(asked.files)]
-        drives = [(fitted, nominal), *zip(drawn, refitted[: asked.files], strict=True)]
+        drawn = [replace(fitted, values=variants.at(draw)) for draw in range(number)]
+        drives = [(fitted, nominal), *zip(drawn, refitted[:number], strict=True)]
         files, remarks = write_files(folder, drives)
         differences, spread = _run_benches(drives)
         limits = (*say_limits(fitted, nominal), *remarks, spread, *_say(variants, joint_quantities, delays))
         return Export((SAMPLES, MJLAB.file, ISAAC_LAB.file, *files), differences, limits)
-
-
-def _read(fitted: FittedDrive, options: Mapping[str, str]) -> _Asked:
-    operation = options.get("operation", OPERATIONS[0])
-    if operation not in OPERATIONS:
-        raise ConfigError(f"operation={operation}: no such operation; {closest(operation, OPERATIONS)}")
-    count = _read_count(options, "count", _COUNT, 2, _MOST)
-    files = _read_count(options, "files", min(_FILES, count), 1, count)
-    ranges = read_ranges(options["ranges"], fitted) if "ranges" in options else {}
-    return _Asked(ranges, count, files, _read_count(options, "seed", 0, 0, 2**31), operation)
 
 
 def _read_count(options: Mapping[str, str], name: str, default: int, low: int, high: int) -> int:
@@ -110,11 +98,16 @@ def write_samples(path: Path, fitted: FittedDrive, quantities: Sequence[Quantity
     and `units` their units. `nominal`, `low` and `high`, of shape (quantities, nv), are the values of the fitted drive
     and the ranges. `seed` is the seed of the draws.
     """
-    arrays = {"seed": np.array(seed), **{quantity.name: quantity.values for quantity in quantities}}
-    arrays |= {"joints": np.array(fitted.bench.joints), "names": np.array([quantity.name for quantity in quantities])}
-    arrays |= {"units": np.array([quantity.unit for quantity in quantities])}
-    arrays |= {"nominal": np.array([quantity.nominal for quantity in quantities])}
-    arrays |= {end: np.array([quantity.ends[:, i] for quantity in quantities]) for i, end in enumerate(("low", "high"))}
+    low, high = (np.array([quantity.ends[:, end] for quantity in quantities]) for end in (0, 1))
+    arrays = {
+        "seed": np.array(seed),
+        **{quantity.name: quantity.values for quantity in quantities},
+        "joints": np.array(fitted.bench.joints),
+        "names": np.array([quantity.name for quantity in quantities]),
+        "units": np.array([quantity.unit for quantity in quantities]),
+        "nominal": np.array([quantity.nominal for quantity in quantities]),
+        **{"low": low, "high": high},
+    }
     np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType] - a keyword is a name here
 
 
@@ -133,27 +126,24 @@ def write_files(folder: Path, drives: Sequence[Drive]) -> tuple[list[str], tuple
     """Write the MJCF of each drive, or the robot's file for a robot; return their names, and remarks."""
     (folder / FOLDER).mkdir()
     fitted, names = drives[0][0], [NOMINAL, *(f"{FOLDER}/{number:03d}" for number in range(len(drives) - 1))]
-    suffix, contents, remarks = ".xml", [write_bench(*drive).encode() for drive in drives], tuple[str, ...]()
+    benches, suffix, remarks = [write_bench(*drive) for drive in drives], ".xml", tuple[str, ...]()
+    contents = [bench.encode() for bench in benches]
     if isinstance(fitted.bench, Robot):
+        where = Path(fitted.bench.source), fitted.bench.joints, ACTUATORS[0]
         try:
-            suffix, contents, remarks = _put_into_robot(drives)
+            robots = [put_into(*where, *drive, bench) for drive, bench in zip(drives, benches, strict=True)]
         except FrictionzooError as error:
             remarks = (f"The files are the bench alone, not the robot's own: {error}.",)
+        else:
+            suffix, remarks = ".urdf" if robots[0].urdf else ".xml", robots[0].notes
+            contents = [robot.commented().content for robot in robots]
+            if b"file=" in robots[0].content or b"filename=" in robots[0].content:
+                remarks += (
+                    "The robot's files refer to others (meshes) as the original does: put them where that lies.",
+                )
     for name, content in zip(names, contents, strict=True):
         (folder / f"{name}{suffix}").write_bytes(content)
     return [f"{name}{suffix}" for name in names], remarks
-
-
-def _put_into_robot(drives: Sequence[Drive]) -> tuple[str, list[bytes], tuple[str, ...]]:
-    path = Path(drives[0][0].bench.source)
-    robots = [
-        put_into(path, fitted.bench.joints, ACTUATORS[0], fitted, nearest, write_bench(fitted, nearest))
-        for fitted, nearest in drives
-    ]
-    remarks = robots[0].notes
-    if b"file=" in robots[0].content or b"filename=" in robots[0].content:
-        remarks += ("The robot's files refer to others (meshes) as the original does: put them where that lies.",)
-    return (".urdf" if robots[0].urdf else ".xml"), [robot.commented().content for robot in robots], remarks
 
 
 def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
@@ -200,13 +190,11 @@ class Program:
     """A simulator with events, and its name of each quantity, in the order of the changes."""
 
     file: str
-    template: str
     fields: Mapping[str, str]
 
 
 MJLAB = Program(
     "mjlab_events.py",
-    "mjlab_events.py.jinja",
     {
         "joint.armature": "dof_armature",
         "joint.frictionloss": "dof_frictionloss",
@@ -217,7 +205,6 @@ MJLAB = Program(
 )
 ISAAC_LAB = Program(
     "isaaclab_events.py",
-    "isaaclab_events.py.jinja",
     {
         "joint.armature": "armature",
         "joint.static_friction": "static friction",
@@ -257,15 +244,22 @@ def write_events(
     joints = fitted.bench.joints
     available = {quantity.name: quantity for quantity in quantities if quantity.name in program.fields}
     varied = [name for name in program.fields if name in available and any(available[name].why)]
+    changes = [
+        f"{program.fields[name]} [{available[name].unit}] of {joint}: {low:.4g} to {high:.4g}, {why} in {fitted.place}"
+        for name in varied
+        for joint, (low, high), why in zip(joints, available[name].ends, available[name].why, strict=True)
+        if why
+    ]
     return render(
-        program.template,
-        about=textwrap.fill(f"{_MEANING} {_ENTITY}", 110),
+        f"{program.file}.jinja",
+        about=textwrap.fill(_ABOUT, 110),
         origin={"run": fitted.place, "model": fitted.model.name, "data": fitted.result["data"]["name"]},
         joints={name: match_joint(name) for name in joints},
         delays=delays,
         timestep=f"{fitted.timestep:g}",
         count=len(quantities[0].values),
-        changes=[line for name in varied for line in _list_changes(program.fields[name], available[name], fitted)],
+        changes=changes,
+        fields=program.fields,
         operation=operation,
         cells={name: _list_cells(quantity, joints, operation) for name, quantity in available.items()},
         varied=varied,
@@ -275,18 +269,9 @@ def write_events(
     )
 
 
-def _list_changes(field: str, quantity: Quantity, fitted: FittedDrive) -> Iterator[str]:
-    for joint, name in enumerate(fitted.bench.joints):
-        if why := quantity.why[joint]:
-            low, high = quantity.ends[joint]
-            yield f"{field} [{quantity.unit}] of {name}: {low:.4g} to {high:.4g}, {why} in {fitted.place}"
-
-
 def _list_cells(quantity: Quantity, joints: Sequence[str], operation: str) -> list[Cell]:
-    cells = []
-    for joint, name in enumerate(joints):
-        nominal, why = quantity.nominal[joint], quantity.why[joint]
-        low, high = quantity.ends[joint]
+    cells, columns = [], zip(joints, quantity.nominal, quantity.ends, quantity.why, strict=True)
+    for name, nominal, (low, high), why in columns:
         unit = quantity.unit if why else f"{quantity.unit}, known"  # the reasons for the ranges are in CHANGES
         if operation == "scale":
             if why and nominal == 0:

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from frictionzoo.bench import Affine
 from frictionzoo.bench.delay import stretch, write_delay
 from frictionzoo.bench.robot_file.actuators import list_at, read_actuators, read_armature, read_damping, read_friction
-from frictionzoo.bench.robot_file.controllers import ReadActuator
 from frictionzoo.bench.robot_file.source import Source, load
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError, closest
@@ -60,14 +59,17 @@ class Equipped:
         return replace(self, content=file.write())
 
 
-def _refuse_inertia(path: Path, fitted: FittedDrive) -> None:
-    if fitted.bench.inertia and path == Path(fitted.bench.source):
+def _refuse_other_bench(path: Path, fitted: FittedDrive) -> None:
+    """Refuse the recorded robot's file if the bench differs from it in what is not written."""
+    if path != Path(fitted.bench.source):
+        return
+    if fitted.bench.inertia:
         links = ", ".join(list(fitted.bench.inertia)[:3])
         raise ExportError(
             f"into={path}: the inertias of {links} and others were identified too, expected those of the file; take "
             "the bench that was simulated, which has them"
         )
-    if fitted.bench.gravity is not None and path == Path(fitted.bench.source):
+    if fitted.bench.gravity is not None:
         numbers = ", ".join(f"{number:.4g}" for number in fitted.bench.gravity)
         raise ExportError(
             f"into={path}: gravity was ({numbers}), expected that of the file; take the bench that was "
@@ -92,12 +94,17 @@ def put_into(
     """
     if actuators not in ACTUATORS:
         raise ConfigError(f"actuator={actuators}: expected {' or '.join(ACTUATORS)}")
-    _refuse_inertia(path, fitted)
+    _refuse_other_bench(path, fitted)
     file, urdf = _read(path)
     tags = {name: tag for tag in file.tags if _is_joint(tag) and (name := tag.attributes.get("name"))}
     columns = _match(path, joints, list(tags), fitted)
     before, notes = load(str(path), file.content), list[str]()
-    _refuse_other_types(before.model, path, joints, fitted.bench.joint_type)
+    kind = fitted.bench.joint_type
+    for name in joints:
+        if before.model.joint(name).type[0] != getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}"):
+            raise ExportError(
+                f"joint={name}: another type of joint in {path}, expected a {kind} as the drive's; name another"
+            )
     timestep = float(before.model.opt.timestep)
     if fitted.origin is not None and not urdf:
         notes, timestep = _change_option(file, before.model.opt, fitted), fitted.timestep
@@ -112,7 +119,10 @@ def put_into(
         )
         file.set(tags[name], {attribute: template_joint.get(attribute, "0") for attribute in _JOINT})
         if actuators == "identified":
-            law = describe_law(fitted, nearest, column, general, timestep)
+            law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *_LATE)}
+            law["biasprm"] = " ".join(in_full(bias[column]) for bias in meant(fitted, nearest)[1:])
+            if "delay" in nearest.bench and not fitted.bench.actuator.needs_state:
+                law |= write_delay(float(write_late(fitted, nearest, timestep)["delay"][column]), timestep)
             notes += _write_actuator(file, path, name, law, before)
     changed = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
     remark = nearest.remark or say_law(fitted.model)
@@ -195,14 +205,6 @@ def say_joints(joints: Sequence[str]) -> str:
     return f"{len(joints)} joints" if len(joints) > _NAMED else ", ".join(joints)
 
 
-def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str], kind: str) -> None:
-    for name in joints:
-        if model.joint(name).type[0] != getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}"):
-            raise ExportError(
-                f"joint={name}: another type of joint in {path}, expected a {kind} as the drive's; name another"
-            )
-
-
 def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np.ndarray, column: int) -> None:
     """Write friction and damping of a URDF joint, and the armature as a comment, since URDF has no armature."""
     attributes = {
@@ -218,21 +220,10 @@ def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np
     file.append(joint, ET.Comment(f" armature {armature}: URDF has no place for it "))
 
 
-def _meant(fitted: FittedDrive, nearest: Nearest) -> Affine:
+def meant(fitted: FittedDrive, nearest: Nearest) -> Affine:
     """Return the actuators' coefficients for true positions; the bench's are for encoder positions."""
     law = fitted.bench.actuator.affine(nearest.bench)
     return law._replace(bias0=law.bias0 - law.bias1 * offset_of(fitted))
-
-
-def describe_law(
-    fitted: FittedDrive, nearest: Nearest, column: int, general: ET.Element, timestep: float
-) -> dict[str, str]:
-    """Return the attributes of a joint's actuator for the robot's positions and time step [s]."""
-    law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *_LATE)}
-    law["biasprm"] = " ".join(in_full(bias[column]) for bias in _meant(fitted, nearest)[1:])
-    if "delay" in nearest.bench and not fitted.bench.actuator.needs_state:
-        law |= write_delay(float(write_late(fitted, nearest, timestep)["delay"][column]), timestep)
-    return law
 
 
 def write_late(fitted: FittedDrive, nearest: Nearest, timestep: float) -> dict[str, Float[np.ndarray, "nv"]]:
@@ -311,33 +302,29 @@ def _list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[di
     a position controller replaces a motor, the motor's command range limits the force. `law` has the new `gainprm` and
     `biasprm`.
     """
-    model, index = before.model, before.model.joint(joint).id
-    actuators = list_at(model, index)
+    index = before.model.joint(joint).id
+    actuators = list_at(before.model, index)
     if not actuators:
         return _as_attributes(_UNLIMITED, _UNLIMITED, 0), []
-    group = int(model.actuator_group[actuators[0]])
+    group = int(before.model.actuator_group[actuators[0]])
     (read,) = read_actuators(before, [index])
     if read is None:
-        return _as_attributes(_UNLIMITED, _UNLIMITED, group), [
-            f"The limits of the actuator that joint {joint} had are left out."
-        ]
-    ctrl, force, notes = _convert(read, float(law["gainprm"]), *map(float, law["biasprm"].split()[1:]))
-    return _as_attributes(ctrl, force, group), notes
-
-
-def _convert(read: ReadActuator, gain: float, bias1: float, bias2: float) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    ctrl, force = np.array(read.ctrlrange), np.array(read.forcerange)
+        limits = _as_attributes(_UNLIMITED, _UNLIMITED, group)
+        return limits, [f"The limits of the actuator that joint {joint} had are left out."]
+    gain, (_, bias1, bias2) = float(law["gainprm"]), map(float, law["biasprm"].split())
+    ctrl, force, notes = np.array(read.ctrlrange), np.array(read.forcerange), []
     if read.bias1 and bias1:
-        return _ordered(ctrl * (read.gain / read.bias1) * (bias1 / gain)), force, []
-    if read.kind == "motor" and not (bias1 or bias2):
-        return _ordered(ctrl * (read.gain / gain)), force, []
-    if not np.isfinite(ctrl).all():
-        return _UNLIMITED, force, []
-    if read.kind != "motor":
-        return _UNLIMITED, force, ["Ranges of commands are left out: the identified actuators' commands are others."]
-    low, high = _ordered(ctrl * read.gain)
-    force = np.array([np.fmax(force[0], low), np.fmin(force[1], high)])
-    return _UNLIMITED, force, ["The motors' ranges of commands limit the force: what is commanded now is no torque."]
+        ctrl = _ordered(ctrl * (read.gain / read.bias1) * (bias1 / gain))
+    elif read.kind == "motor" and not (bias1 or bias2):
+        ctrl = _ordered(ctrl * (read.gain / gain))
+    elif read.kind == "motor" and np.isfinite(ctrl).all():
+        low, high = _ordered(ctrl * read.gain)
+        force, ctrl = np.array([np.fmax(force[0], low), np.fmin(force[1], high)]), _UNLIMITED
+        notes = ["The motors' ranges of commands limit the force: what is commanded now is no torque."]
+    elif np.isfinite(ctrl).all():
+        notes = ["Ranges of commands are left out: the identified actuators' commands are others."]
+        ctrl = _UNLIMITED
+    return _as_attributes(ctrl, force, group), notes
 
 
 def _ordered(ends: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
@@ -382,7 +369,7 @@ def _refuse_unlike(after: Source, robot: Equipped, fitted: FittedDrive, nearest:
     if not robot.urdf:
         pairs["armature"] = nearest.bench["armature"], read_armature(after, ids)
     if actuators:
-        law, read = _meant(fitted, nearest), read_actuators(after, ids)
+        law, read = meant(fitted, nearest), read_actuators(after, ids)
         for name in Affine._fields:
             actual = np.array([getattr(actuator, name, np.nan) for actuator in read])
             pairs[f"{name} of the actuator"] = getattr(law, name), actual

@@ -18,6 +18,7 @@ from frictionzoo.export.skeleton import (
     DRAKE,
     WORLD,
     Link,
+    build,
     find_free_name,
     list_numbers,
     read_links,
@@ -71,18 +72,16 @@ def write_sdf(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> 
     Raises:
         ExportError: The links cannot represent the armature, or SDFormat the bench.
     """
-    root = ET.Element("sdf", {"version": _VERSION, "xmlns:drake": DRAKE})
-    root.append(write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"))
-    model = ET.SubElement(root, "model", name="bench")
     armature = dict(zip(fitted.bench.joints, nearest.bench["armature"], strict=True))
-    links = read_links(fitted, nearest)
+    links, parts = read_links(fitted, nearest), list[ET.Element]()
     names = _name_links(links)
     for link in links:
-        renamed = link._replace(name=names[link.name], parent=names[link.parent])
-        joint_armature = armature.get(link.joint)
-        _add_link(model, _load(renamed, joint_armature, fitted) if in_links and joint_armature is not None else renamed)
-        _add_joint(model, renamed, None if in_links else joint_armature)
-    return write_xml(root)
+        own = armature.get(link.joint)
+        loaded = _load(link, own, fitted) if in_links and own is not None else link
+        parts += [_write_link(loaded, names), _write_joint(link, names, None if in_links else own)]
+    comment = write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}")
+    model = build("model", {"name": "bench"}, *parts)
+    return write_xml(build("sdf", {"version": _VERSION, "xmlns:drake": DRAKE}, comment, model))
 
 
 def _name_links(links: Sequence[Link]) -> dict[str, str]:
@@ -123,32 +122,26 @@ def _load(link: Link, armature: float, fitted: FittedDrive) -> Link:
     return link._replace(mass=link.mass + armature)
 
 
-def _add_link(model: ET.Element, link: Link) -> None:
-    element = ET.SubElement(model, "link", name=link.name)
-    pose = ET.SubElement(element, "pose", {} if link.parent == WORLD else {"relative_to": link.parent})
-    pose.text = list_numbers([*link.pos, *link.rpy])
-    inertial = ET.SubElement(element, "inertial")
-    ET.SubElement(inertial, "pose").text = list_numbers([*link.com, 0.0, 0.0, 0.0])
-    ET.SubElement(inertial, "mass").text = in_full(link.mass)
-    inertia = ET.SubElement(inertial, "inertia")
-    for entry in _ENTRIES:
-        row, column = ("xyz".index(axis) for axis in entry[1:])
-        ET.SubElement(inertia, entry).text = in_full(link.inertia[row, column])
+def _write_link(link: Link, names: Mapping[str, str]) -> ET.Element:
+    place = {} if link.parent == WORLD else {"relative_to": names[link.parent]}
+    entries = {entry: link.inertia["xyz".index(entry[1]), "xyz".index(entry[2])] for entry in _ENTRIES}
+    return build(
+        *("link", {"name": names[link.name]}, build("pose", place, list_numbers([*link.pos, *link.rpy]))),
+        build(
+            *("inertial", build("pose", list_numbers([*link.com, 0.0, 0.0, 0.0])), build("mass", in_full(link.mass))),
+            build("inertia", *(build(entry, in_full(value)) for entry, value in entries.items())),
+        ),
+    )
 
 
-def _add_joint(model: ET.Element, link: Link, armature: float | None) -> None:
-    joint = ET.SubElement(model, "joint", name=link.joint, type=_KINDS[link.kind])  # limits are optional in SDFormat
-    ET.SubElement(joint, "parent").text = link.parent
-    ET.SubElement(joint, "child").text = link.name
+def _write_joint(link: Link, names: Mapping[str, str], armature: float | None) -> ET.Element:
+    parts = [build("parent", names[link.parent]), build("child", names[link.name])]
     if link.kind != "fixed":
-        axis = ET.SubElement(joint, "axis")
-        ET.SubElement(axis, "xyz").text = list_numbers(link.axis)
-        dynamics = ET.SubElement(axis, "dynamics")
-        ET.SubElement(dynamics, "damping").text = in_full(link.damping)
-        ET.SubElement(dynamics, "friction").text = in_full(link.friction)
+        dynamics = build("damping", in_full(link.damping)), build("friction", in_full(link.friction))
+        parts.append(build("axis", build("xyz", list_numbers(link.axis)), build("dynamics", *dynamics)))
     if armature is not None:
-        ET.SubElement(joint, "drake:rotor_inertia").text = in_full(armature)
-        ET.SubElement(joint, "drake:gear_ratio").text = "1"
+        parts += [build("drake:rotor_inertia", in_full(armature)), build("drake:gear_ratio", "1")]
+    return build("joint", {"name": link.joint, "type": _KINDS[link.kind]}, *parts)  # limits are optional in SDFormat
 
 
 def read_sdf(text: str) -> tuple[mujoco.MjSpec, dict[str, float]]:

@@ -1,6 +1,6 @@
 """Simulation of written models in MuJoCo C under recorded commands, for comparison with the fitted drive."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from operator import itemgetter
@@ -15,6 +15,8 @@ from frictionzoo.result.fitted_drive import FittedDrive
 PAYLOADS = "Payloads of recordings are left out; for the difference above they were put into the model."
 _WHOLE = 0.01  # relative deviation of a sample from whole steps that is rounded away, as for recordings
 _ROUNDING = 1e-6  # rounding tolerance, as a share of a step
+_ACTUATOR = ("gainprm", "biastype", "biasprm", "forcelimited", "forcerange")
+_LATE = ("delay", "nsample", "interp", "dyntype", "dynprm", "actearly")
 _DIVERGED = [mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC]
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData, Signals], None]
@@ -192,6 +194,30 @@ def run_loaded(
 
     late = law.needs_state if late is None else late
     return simulate(model, fitted, step, prepare, late, place)
+
+
+def equip(
+    spec: mujoco.MjSpec, bench: str, armature: Sequence[float], bias0: Sequence[float] | None = None, late: bool = False
+) -> mujoco.MjModel:
+    """Give links what their format lacks, from the bench's MJCF: options, `solreffriction` and actuators.
+
+    `armature` has a value for each joint [kg m^2 or kg]; `bias0` replaces that coefficient of the actuators [N m or N];
+    `late` also copies their delays.
+
+    Returns:
+        The compiled bench.
+    """
+    source, model = mujoco.MjSpec.from_string(bench), mujoco.MjModel.from_xml_string(bench)
+    spec.option = source.option
+    for index, own in enumerate(source.actuators):
+        joint = spec.joint(own.target)
+        joint.armature, joint.solref_friction = armature[index], model.dof_solref[index]
+        actuator = spec.add_actuator(name=own.name, target=own.target, trntype=own.trntype)
+        for name in (*_ACTUATOR, *(_LATE if late else ())):
+            setattr(actuator, name, getattr(own, name))
+        if bias0 is not None:
+            actuator.biasprm[0] = bias0[index]
+    return model
 
 
 def commands_before(fitted: FittedDrive, rollout: int) -> Signals:

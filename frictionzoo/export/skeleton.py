@@ -1,7 +1,8 @@
 """Links and joints of a bench for robot description formats, in which a link has the frame of its joint."""
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import list_values
 from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.export.simulate import run_loaded
+from frictionzoo.export.simulate import equip, run_loaded
 from frictionzoo.result.fitted_drive import FittedDrive
 
 WORLD = "world"
@@ -112,19 +113,9 @@ def run_links(
     Options, actuators, `solreffriction` and reference positions, which these formats lack, come from the bench.
     `armature` has a value for each joint [kg m^2 or kg].
     """
-    text = write_bench(fitted, nearest)
-    bench, law = mujoco.MjModel.from_xml_string(text), fitted.bench.actuator.affine(nearest.bench)
-    force_range = fitted.bench.actuator.force_range(nearest.bench)
-    spec.option, spec.compiler.fusestatic = mujoco.MjSpec.from_string(text).option, 0
-    for index, name in enumerate(fitted.bench.joints):
-        joint = spec.joint(name)
-        joint.armature, joint.solref_friction = armature[index], bench.dof_solref[index]
-        gain, *bias = (float(coefficient[index]) for coefficient in law)
-        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.gainprm[0], actuator.biastype, actuator.biasprm[:3] = gain, mujoco.mjtBias.mjBIAS_AFFINE, bias
-        if force_range is not None:
-            actuator.forcelimited, actuator.forcerange = True, force_range[index]
-    model, payload = spec.compile(), fitted.bench.payload
+    spec.compiler.fusestatic, payload = 0, fitted.bench.payload
+    bench = equip(spec, write_bench(fitted, nearest), armature)
+    model = spec.compile()
     model.qpos0[:] = bench.qpos0
 
     def begin(data: mujoco.MjData, rollout: int) -> None:
@@ -132,6 +123,19 @@ def run_links(
             model.body_ipos[payload] -= _anchor(bench, payload)
 
     return run_loaded(model, fitted, begin=begin, late=True)
+
+
+def build(tag: str, *parts: "str | Mapping[str, str] | ET.Element[Any] | None") -> "ET.Element[Any]":
+    """Build an XML element from its text, attributes and children."""
+    element = ET.Element(tag)
+    for part in parts:
+        if isinstance(part, str):
+            element.text = part
+        elif isinstance(part, ET.Element):
+            element.append(part)
+        elif part is not None:
+            element.attrib |= part
+    return element
 
 
 def list_numbers(values: Iterable[float]) -> str:

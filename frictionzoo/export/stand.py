@@ -1,7 +1,6 @@
 """A robot's file on the test stand of its recordings, without the parts that the bench leaves out; and its torque."""
 
 import copy
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,8 +15,8 @@ from frictionzoo.bench.robot_file.source import load
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.base import Difference, measure
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.export.robot import Equipped, describe_law, offset_of, say_joints
-from frictionzoo.export.simulate import Place
+from frictionzoo.export.robot import Equipped, meant, offset_of, say_joints
+from frictionzoo.export.simulate import Place, equip
 from frictionzoo.result.fitted_drive import FittedDrive
 
 _STATES = 200  # number of recorded states for the torque comparison
@@ -39,7 +38,8 @@ def mount(
 
     def prepare(spec: mujoco.MjSpec) -> None:
         if robot.urdf:
-            _equip(spec, fitted, nearest, bench)
+            bias0 = meant(fitted, nearest).bias0.tolist()
+            equip(spec, bench, nearest.bench["armature"].tolist(), bias0, late=True)
         _hold_others(spec, robot.joints)
 
     model = load(str(path), robot.content, prepare).model
@@ -81,31 +81,6 @@ def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
         spec.delete(element)
     for joint in others:
         spec.delete(joint)
-
-
-def _equip(spec: mujoco.MjSpec, fitted: FittedDrive, nearest: Nearest, bench: str) -> None:
-    spec.option = mujoco.MjSpec.from_string(bench).option
-    template = ET.fromstring(bench)
-    attributes = {element.get("name", ""): element.attrib for element in template.iter("joint")}
-    for column, general in enumerate(template.iterfind("./actuator/general")):
-        law = describe_law(fitted, nearest, column, general, fitted.timestep)
-        joint = spec.joint(general.attrib["joint"])
-        joint.armature = float(attributes[joint.name]["armature"])
-        joint.solref_friction = _read(attributes[joint.name]["solreffriction"])
-        actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.gainprm[0], actuator.biastype = float(law["gainprm"]), mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.biasprm[:3] = _read(law["biasprm"])
-        if "forcerange" in law:
-            actuator.forcelimited, actuator.forcerange = True, _read(law["forcerange"])
-        if "delay" in law:
-            actuator.delay, actuator.nsample, actuator.interp = float(law["delay"]), int(law["nsample"]), 1  # linear
-        if "dynprm" in law:
-            actuator.dyntype, actuator.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, True
-            actuator.dynprm[0] = float(law["dynprm"])
-
-
-def _read(numbers: str) -> list[float]:
-    return [float(number) for number in numbers.split()]
 
 
 def compare_torque(

@@ -15,13 +15,13 @@ from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
-from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
+from frictionzoo.export.skeleton import DRAKE, WORLD, Link, build, list_numbers, read_links, run_links, say_lacks
 from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.urdf"
 _KINDS = {"hinge": "continuous", "slide": "prismatic", "fixed": "fixed"}
 _NONE = "1e6"  # limits of a slide [m, m/s, N]: URDF cannot express a slide without limits
-_SENSED = ("position", "velocity", "effort")
+_PARAMS = ("stiffness", "damping", "effort_limit", "saturation_effort", "velocity_limit")
 
 
 @register_target("urdf")
@@ -46,58 +46,58 @@ class Urdf(Target):
 
 def write_urdf(fitted: FittedDrive, nearest: Nearest, drives: list[Motor]) -> str:
     """Write the file; `drives` is empty if the command is not a position."""
-    robot = ET.Element("robot", {"name": "bench", "xmlns:drake": DRAKE})
-    robot.append(write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"))
-    ET.SubElement(robot, "link", name=WORLD)
-    for link in read_links(fitted, nearest):
-        _add_link(robot, link)
-    system = ET.Element("ros2_control", name="bench", type="system")
-    ET.SubElement(ET.SubElement(system, "hardware"), "plugin").text = "mock_components/GenericSystem"
-    for index, name in enumerate(fitted.bench.joints):
-        _add_transmission(robot, name, nearest.bench["armature"][index])
-        _add_interfaces(system, name, drives[index] if drives else None)
-    robot.append(system)
-    return write_xml(robot)
+    joints = list(zip(fitted.bench.joints, nearest.bench["armature"], drives or fitted.bench.nv * [None], strict=True))
+    plugin = build("hardware", build("plugin", "mock_components/GenericSystem"))
+    interfaces = [_write_interfaces(name, drive) for name, _, drive in joints]
+    root = build(
+        *("robot", {"name": "bench", "xmlns:drake": DRAKE}),
+        write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"),
+        build("link", {"name": WORLD}),
+        *(part for link in read_links(fitted, nearest) for part in _write_link(link)),
+        *(_write_transmission(name, armature) for name, armature, _ in joints),
+        build("ros2_control", {"name": "bench", "type": "system"}, plugin, *interfaces),
+    )
+    return write_xml(root)
 
 
-def _add_link(robot: ET.Element, link: Link) -> None:
-    inertial = ET.SubElement(ET.SubElement(robot, "link", name=link.name), "inertial")
-    ET.SubElement(inertial, "origin", xyz=list_numbers(link.com), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=in_full(link.mass))
+def _write_link(link: Link) -> tuple[ET.Element, ET.Element]:
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": in_full(link.inertia[i, j]) for i in range(3) for j in range(i, 3)}
-    ET.SubElement(inertial, "inertia", entries)
-    joint = ET.SubElement(robot, "joint", name=link.joint, type=_KINDS[link.kind])
-    ET.SubElement(joint, "origin", xyz=list_numbers(link.pos), rpy=list_numbers(link.rpy))
-    ET.SubElement(joint, "parent", link=link.parent)
-    ET.SubElement(joint, "child", link=link.name)
-    if link.kind == "fixed":
-        return
-    ET.SubElement(joint, "axis", xyz=list_numbers(link.axis))
-    if link.kind == "slide":
-        ET.SubElement(joint, "limit", lower=f"-{_NONE}", upper=_NONE, effort=_NONE, velocity=_NONE)
-    ET.SubElement(joint, "dynamics", damping=in_full(link.damping), friction=in_full(link.friction))
+    inertial = build(
+        *("inertial", build("origin", {"xyz": list_numbers(link.com), "rpy": "0 0 0"})),
+        *(build("mass", {"value": in_full(link.mass)}), build("inertia", entries)),
+    )
+    slide = {"lower": f"-{_NONE}", "upper": _NONE, "effort": _NONE, "velocity": _NONE}
+    moving = [
+        build("axis", {"xyz": list_numbers(link.axis)}),
+        build("limit", slide) if link.kind == "slide" else None,
+        build("dynamics", {"damping": in_full(link.damping), "friction": in_full(link.friction)}),
+    ]
+    joint = build(
+        *("joint", {"name": link.joint, "type": _KINDS[link.kind]}),
+        build("origin", {"xyz": list_numbers(link.pos), "rpy": list_numbers(link.rpy)}),
+        *(build("parent", {"link": link.parent}), build("child", {"link": link.name})),
+        *(() if link.kind == "fixed" else moving),
+    )
+    return build("link", {"name": link.name}, inertial), joint
 
 
-def _add_transmission(robot: ET.Element, joint: str, armature: float) -> None:
-    """Add Drake's transmission; the armature is rotor_inertia gear_ratio^2."""
-    transmission = ET.SubElement(robot, "transmission", name=f"{joint}_transmission")
-    ET.SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
-    ET.SubElement(transmission, "joint", name=joint)
-    actuator = ET.SubElement(transmission, "actuator", name=joint)
-    ET.SubElement(actuator, "drake:rotor_inertia", value=in_full(armature))
-    ET.SubElement(actuator, "drake:gear_ratio", value="1")
+def _write_transmission(joint: str, armature: float) -> ET.Element:
+    """Write Drake's transmission; the armature is rotor_inertia gear_ratio^2."""
+    drake = {"drake:rotor_inertia": in_full(armature), "drake:gear_ratio": "1"}
+    return build(
+        *("transmission", {"name": f"{joint}_transmission"}),
+        *(build("type", "transmission_interface/SimpleTransmission"), build("joint", {"name": joint})),
+        build("actuator", {"name": joint}, *(build(tag, {"value": value}) for tag, value in drake.items())),
+    )
 
 
-def _add_interfaces(system: ET.Element, name: str, drive: Motor | None) -> None:
-    joint = ET.SubElement(system, "joint", name=name)
-    ET.SubElement(joint, "command_interface", name="position" if drive else "effort")
-    for sensed in _SENSED:
-        ET.SubElement(joint, "state_interface", name=sensed)
-    if drive is None:
-        return
-    for param in ("stiffness", "damping", "effort_limit", "saturation_effort", "velocity_limit"):
-        if np.isfinite(value := getattr(drive, param)):
-            ET.SubElement(joint, "param", name=param).text = in_full(value)
+def _write_interfaces(name: str, drive: Motor | None) -> ET.Element:
+    params = {param: getattr(drive, param) for param in _PARAMS} if drive else {}
+    return build(
+        *("joint", {"name": name}, build("command_interface", {"name": "position" if drive else "effort"})),
+        *(build("state_interface", {"name": sensed}) for sensed in ("position", "velocity", "effort")),
+        *(build("param", {"name": n}, in_full(value)) for n, value in params.items() if np.isfinite(value)),
+    )
 
 
 def _say(fitted: FittedDrive, nearest: Nearest, drives: list[Motor], inputs: Mapping[str, float]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.motor import Motor, motors
+from frictionzoo.export.motor import motors
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.evaluate import Values
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -93,25 +93,24 @@ def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
         raise ConfigError(f"ranges={text}: expected shares of values by name, as in {_EXAMPLE}")
     rows = fitted.result["parameters"]
     names = {f"{row['owner']}.{row['name']}" for row in rows}.union(*map(label_values, rows))
+    ranges = {}
     for name in stated:
         if name not in names:
             raise ConfigError(f"ranges: {name}: no such parameter of this run; {closest(str(name), names)}")
-    return {name: _read_range(name, ends) for name, ends in stated.items()}
-
-
-def _read_range(name: str, given: Any) -> Range:
-    absolute = isinstance(given, dict) and given.keys() == {"low", "high"}
-    ends = (given["low"], given["high"]) if absolute else given if isinstance(given, list) else ()
-    try:
-        low, high = map(float, ends)
-    except (TypeError, ValueError):
-        low = high = np.nan
-    if not (-np.inf if absolute else 0) <= low < high < np.inf or not np.isfinite(low):
-        raise ConfigError(
-            f"ranges: {name}: {given}; expected the lowest and the highest share of its value, as in {_EXAMPLE}, or "
-            "{low: NUMBER, high: NUMBER} in its unit"
-        )
-    return Range(low, high, absolute)
+    for name, given in stated.items():
+        absolute = isinstance(given, dict) and given.keys() == {"low", "high"}
+        ends = (given["low"], given["high"]) if absolute else given if isinstance(given, list) else ()
+        try:
+            low, high = map(float, ends)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not (-np.inf if absolute else 0) <= low < high < np.inf or not np.isfinite(low):
+            raise ConfigError(
+                f"ranges: {name}: {given}; expected the lowest and the highest share of its value, as in {_EXAMPLE}, "
+                "or {low: NUMBER, high: NUMBER} in its unit"
+            )
+        ranges[name] = Range(low, high, absolute)
+    return ranges
 
 
 def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) -> Variants:
@@ -202,26 +201,27 @@ def list_quantities(
     `nominal` is the fitted drive and `each` the drawn drives with MuJoCo's joint friction; `inputs` are gain and supply
     of a servo.
     """
-    fitted = variants.fitted
-    units, bench_damping = UNITS[fitted.bench.joint_type], fitted.bench.own_damping
-    values = [fitted.values, *variants.all]
+    fitted, drives = variants.fitted, (nominal, *each)
+    units, values = UNITS[fitted.bench.joint_type], [fitted.values, *variants.all]
     joint = {
-        "armature": ("inertia", [one.bench["armature"] for one in (nominal, *each)]),
-        "frictionloss": ("torque", [one.frictionloss for one in (nominal, *each)]),
-        "damping": ("damping", [one.damping + bench_damping for one in (nominal, *each)]),
+        "armature": ("inertia", [drive.bench["armature"] for drive in drives]),
+        "frictionloss": ("torque", [drive.frictionloss for drive in drives]),
+        "damping": ("damping", [drive.damping + fitted.bench.own_damping for drive in drives]),
     }
-    static_torques = [at_rest(fitted, v, one.frictionloss) for v, one in zip(values, (nominal, *each), strict=True)]
-    if any((static != one.frictionloss).any() for static, one in zip(static_torques, (nominal, *each), strict=True)):
-        joint["static_friction"] = ("torque", static_torques)
+    static = [at_rest(fitted, of, drive.frictionloss) for of, drive in zip(values, drives, strict=True)]
+    if any((torque != drive.frictionloss).any() for torque, drive in zip(static, drives, strict=True)):
+        joint["static_friction"] = ("torque", static)
     quantities = [_describe(variants, f"joint.{name}", units[of], np.array(rows)) for name, (of, rows) in joint.items()]
-    drives = [_motors(replace(fitted, values=of), inputs) for of in values]
+    try:
+        motors_of = [motors(replace(fitted, values=of), inputs) for of in values]
+    except ExportError:  # not position-controlled
+        return tuple(quantities)
     of_motor = []
-    for name, of in MOTOR.items() if drives[0] else ():
-        rows = np.array([[getattr(motor, name) for motor in joints] for joints in drives])
+    for name, of in MOTOR.items():
+        rows = np.array([[getattr(motor, name) for motor in joints] for joints in motors_of])
         if np.isfinite(rows).all():
             of_motor.append(_describe(variants, f"actuator.{name}", units[of], rows))
-    # Simulators set both gains together.
-    gains = any(any(one.why) for one in of_motor[:2])
+    gains = any(any(one.why) for one in of_motor[:2])  # simulators set both gains together
     return (*quantities, *(one for place, one in enumerate(of_motor) if any(one.why) or (gains and place < 2)))
 
 
@@ -233,13 +233,6 @@ def at_rest(fitted: FittedDrive, values: Values, frictionloss: Float[np.ndarray,
         if (name := f"{prefix}static_torque") in values["friction"]:
             friction[joint] = max(friction[joint], values["friction"][name][place])
     return friction
-
-
-def _motors(fitted: FittedDrive, inputs: Mapping[str, float]) -> list[Motor]:
-    try:
-        return motors(fitted, inputs)
-    except ExportError:
-        return []
 
 
 def _describe(variants: Variants, name: str, unit: str, rows: Float[np.ndarray, "drives nv"]) -> Quantity:

@@ -3,7 +3,7 @@
 import json
 import platform
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from importlib import metadata
 from importlib.util import find_spec
@@ -60,23 +60,20 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
 def summarise_exports(written: Sequence[Written]) -> str:
     """Return a table with a row for each comparison, then the limits of each target and the folders of the files."""
     rows = [("target", "compared", "over", "largest difference", "mean", "error", "limits", "")]
-    rows += [row for outcome in written for row in _list_rows(outcome)]
-    limits = [f"{outcome.target}: {limit}" for outcome in written if outcome.export for limit in outcome.export.limits]
-    reasons = [f"{outcome.target}: nothing written: {outcome.reason}" for outcome in written if outcome.export is None]
-    files = [f"files: {outcome.folder}" for outcome in written if outcome.folder]
+    limits, reasons = list[str](), list[str]()
+    for one in written:
+        if one.export is None:
+            rows.append((one.target, *5 * ("",), "not written", ""))
+            reasons.append(f"{one.target}: nothing written: {one.reason}")
+            continue
+        limits += [f"{one.target}: {limit}" for limit in one.export.limits]
+        for difference in one.export.differences:
+            sizes = difference.largest, difference.mean, difference.error
+            shown = ("" if size is None else f"{size:.2g}" for size in sizes)
+            compared = one.target, f"{difference.quantity} [{difference.unit}]", difference.over
+            rows.append((*compared, *shown, str(len(one.export.limits) or "none"), one.mark(difference)))
+    files = [f"files: {one.folder}" for one in written if one.folder]
     return "\n\n".join("\n".join(block) for block in ([align(rows)], *escape_all([limits, reasons, files])) if block)
-
-
-def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:
-    if one.export is None:
-        yield one.target, "", "", "", "", "", "not written", ""
-        return
-    limits = str(len(one.export.limits) or "none")
-    for difference in one.export.differences:
-        sizes = difference.largest, difference.mean, difference.error
-        shown = ("" if size is None else f"{size:.2g}" for size in sizes)
-        compared = f"{difference.quantity} [{difference.unit}]"
-        yield one.target, compared, difference.over, *shown, limits, one.mark(difference)
 
 
 def export_to(drive: FittedDrive, target: str, path: Path, options: Mapping[str, str]) -> Written:
@@ -160,36 +157,37 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
 
 
 def _say_simulator(moved: FittedDrive) -> list[str]:
-    origin, step, continuous = moved.origin, moved.timestep, moved.is_simulated
-    if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not continuous):
+    origin, step, integrator = moved.origin, moved.timestep, moved.integrator
+    if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not moved.is_simulated):
         return []
-    qpos, unit, integrator = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"], moved.integrator
+    qpos, unit = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"]
     distance = np.abs(qpos - moved.predict_origin().qpos)
     gap = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
-    if not continuous:
+    if not moved.is_simulated:
         fitted = f"those of {origin.timestep:g} s with which it was fitted"
         return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {gap}."]
     error, continuous_error = (
         f"{np.abs(errors).mean():.2g} {unit}" for errors in (moved.find_errors(qpos), moved.find_residual())
     )
+    parameters = f"Parameters are those for steps of {step:g} s with the integrator {integrator}"
     if integrator == RK4:
         return [
-            f"Parameters are those for steps of {step:g} s with the integrator {RK4}: those of continuous time, with a "
-            f"softer solreffriction. In continuous time the mean error under held-out commands is {continuous_error}."
+            f"{parameters}: those of continuous time, with a softer solreffriction. In continuous time the mean error "
+            f"under held-out commands is {continuous_error}."
         ]
     remarks = [
-        f"Parameters are those for steps of {step:g} s with the integrator {integrator}, and others for other steps. "
-        f"In these the drive moves differently than in continuous time: {gap}. Its mean error under held-out commands "
-        f"is {error}, in continuous time {continuous_error}."
+        f"{parameters}, and others for other steps. In these the drive moves differently than in continuous time: "
+        f"{gap}. Its mean error under held-out commands is {error}, in continuous time {continuous_error}."
     ]
-    if origin and continuous and (limited := find_limited(moved.values, origin.values)):
+    if limited := find_limited(moved.values, origin.values):
         joints = name_some([moved.bench.joints[joint] for joint in limited])
         remarks.append(f"For {joints} an armature cannot be as small as such steps need: take shorter ones.")
     return remarks
 
 
 def _note(fitted: FittedDrive, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:
-    versions = {"python": platform.python_version(), "frictionzoo": __version__}
+    names = metadata.packages_distributions()
+    versions = {package: metadata.version(names.get(package, [package])[0]) for package in packages}
     return {
         "target": written.target,
         "run": str(fitted.folder.resolve()) if fitted.folder else None,
@@ -200,12 +198,5 @@ def _note(fitted: FittedDrive, written: Written, packages: Sequence[str], export
         "error": written.error,
         "differences": [asdict(difference) | {"mark": written.mark(difference)} for difference in export.differences],
         "limits": list(export.limits),
-        "versions": versions | {package: _version(package) for package in packages},
+        "versions": {"python": platform.python_version(), "frictionzoo": __version__, **versions},
     }
-
-
-def _version(package: str) -> str:
-    """Return the version of a package, given its import name."""
-    for distribution in metadata.packages_distributions().get(package, [package]):
-        return metadata.version(distribution)
-    return "unknown"
