@@ -114,7 +114,7 @@ def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Id
     vague = declare(drive, False, "friction.damping")
     ranges["friction.damping"] = Range(0.5, 1.5)
     found = draw_variants(vague, COUNT, 0, ranges)
-    armature, kp, _, damping = (one.values[:, 0] for one in found.parameters)
+    armature, kp, _, damping = (one.values[:, 0] for one in found)
     value = {name: float(p.value[0]) for name, p in drive.parameters.items()}
     even = (np.arange(COUNT) + 0.5) / COUNT
     np.testing.assert_allclose(np.sort(armature), value["bench.armature"] * (0.5 + 1.5 * even))
@@ -122,10 +122,10 @@ def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Id
     np.testing.assert_allclose(np.sort(kp), 18 + 4 * even)  # known, and yet it varies
     np.testing.assert_allclose(np.sort(damping), value["friction.damping"] * (0.5 + even))
     assert abs(np.corrcoef(kp, armature)[0, 1]) < 0.5
-    whys = [one.why[0] for one in found.parameters]
+    whys = [one.why[0] for one in found]
     assert whys[:2] == ["stated range of bench.armature", "stated range of bench.kp"]
     again = draw_variants(vague, COUNT, 0, ranges)
-    np.testing.assert_array_equal(again.parameters[-1].values[:, 0], damping)
+    np.testing.assert_array_equal(again[-1].values[:, 0], damping)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_a_drive_without_intervals_or_parameters_is_refused(drive: Identified) -
     with pytest.raises(FrictionzooError, match="there is one segment only"):
         draw_variants(bare, COUNT, 0, {})
     stated = {name: Range(0.9, 1.1) for name, p in drive.parameters.items() if p.identified}
-    assert len(draw_variants(bare, COUNT, 0, stated).parameters) == len(stated)
+    assert len(draw_variants(bare, COUNT, 0, stated)) == len(stated)
     known = [
         {**row, "by_joint": [{**e, "identified": False} for e in row["by_joint"]]} for row in bare.result["parameters"]
     ]

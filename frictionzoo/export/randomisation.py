@@ -21,7 +21,7 @@ from frictionzoo.export.motor import INPUTS, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, find_nearest_each
 from frictionzoo.export.robot import ACTUATORS, put_into
 from frictionzoo.export.simulate import run_loaded
-from frictionzoo.export.variants import Quantity, Variants, draw_variants, list_quantities, read_ranges
+from frictionzoo.export.variants import Quantity, draw_variants, list_quantities, read_ranges
 from frictionzoo.result.fitted_drive import FittedDrive
 
 SAMPLES, FOLDER, NOMINAL = "samples.npz", "samples", "nominal"
@@ -66,20 +66,22 @@ class Randomisation(Target):
         number = _read_count(options, "files", min(_FILES, count), 1, count)
         ranges = read_ranges(options["ranges"], fitted) if "ranges" in options else {}
         seed = _read_count(options, "seed", 0, 0, 2**31)
-        variants = draw_variants(fitted, count, seed, ranges)
-        nominal, refitted = find_nearest(fitted), find_nearest_each(fitted, variants.all)
-        joint_quantities = list_quantities(variants, nominal, refitted, read_inputs(fitted, options))
-        quantities, delays = (*variants.parameters, *joint_quantities), _list_delays(variants)
+        parameters = draw_variants(fitted, count, seed, ranges)
+        draws = [fitted.with_values({one.name: one.values[draw] for one in parameters}) for draw in range(count)]
+        nominal, refitted = find_nearest(fitted), find_nearest_each(fitted, draws)
+        values, nearest = (fitted.values, *draws), (nominal, *refitted)
+        joint_quantities = list_quantities(fitted, parameters, values, nearest, read_inputs(fitted, options))
+        quantities, delays = (*parameters, *joint_quantities), _list_delays(fitted, parameters)
         write_samples(folder / SAMPLES, fitted, quantities, seed)
         for program in (MJLAB, ISAAC_LAB):
             text = write_events(program, fitted, quantities, delays, operation)
             compile(text, program.file, "exec")
             (folder / program.file).write_text(text, encoding="utf-8")
-        drawn = [replace(fitted, values=variants.at(draw)) for draw in range(number)]
+        drawn = [replace(fitted, values=of) for of in draws[:number]]
         drives = [(fitted, nominal), *zip(drawn, refitted[:number], strict=True)]
         files, remarks = write_files(folder, drives)
         differences, spread = _run_benches(drives)
-        limits = (*say_limits(fitted, nominal), *remarks, spread, *_say(variants, joint_quantities, delays))
+        limits = (*say_limits(fitted, nominal), *remarks, spread, *_say(parameters, joint_quantities, delays))
         return Export((SAMPLES, MJLAB.file, ISAAC_LAB.file, *files), differences, limits)
 
 
@@ -111,10 +113,10 @@ def write_samples(path: Path, fitted: FittedDrive, quantities: Sequence[Quantity
     np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType] - a keyword is a name here
 
 
-def _list_delays(variants: Variants) -> dict[str, tuple[int, int]]:
+def _list_delays(fitted: FittedDrive, parameters: Sequence[Quantity]) -> dict[str, tuple[int, int]]:
     """Return smallest and largest delay by joint where it varies, rounded outwards to whole steps."""
-    fitted, delays = variants.fitted, {}
-    for parameter in variants.parameters:
+    delays = {}
+    for parameter in parameters:
         for joint, name in enumerate(fitted.bench.joints) if parameter.name == "bench.delay" else ():
             if parameter.why[joint]:
                 low, high = parameter.ends[joint] / fitted.timestep
@@ -164,10 +166,8 @@ def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
     )
 
 
-def _say(variants: Variants, taken: Sequence[Quantity], delays: Mapping[str, tuple[int, int]]) -> list[str]:
-    bench_names = [
-        quantity.name.partition(".")[2] for quantity in variants.parameters if quantity.name.startswith("bench.")
-    ]
+def _say(parameters: Sequence[Quantity], taken: Sequence[Quantity], delays: Mapping[str, tuple[int, int]]) -> list[str]:
+    bench_names = [quantity.name.partition(".")[2] for quantity in parameters if quantity.name.startswith("bench.")]
     in_motor = any(quantity.name == "actuator.stiffness" for quantity in taken)
     missing = [name for name in bench_names if name in _OFFSETS or not (in_motor or name in ("armature", "delay"))]
     missing += [name for quantity in taken if (name := quantity.name.partition(".")[2]) in LIMITS]

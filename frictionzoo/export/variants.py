@@ -1,7 +1,7 @@
 """Drives drawn from a run's parameter distribution, and their values in a simulator's joints."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,24 +61,6 @@ class Quantity(NamedTuple):
     why: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Variants:
-    """Drawn drives; `parameters` vary in any joint."""
-
-    fitted: FittedDrive
-    parameters: tuple[Quantity, ...]
-    count: int
-
-    def at(self, number: int) -> Values:
-        """Return the values of all parameters of one drive, as in `Identified.values`."""
-        return self.fitted.with_values({parameter.name: parameter.values[number] for parameter in self.parameters})
-
-    @property
-    def all(self) -> list[Values]:
-        """Values of all drives."""
-        return [self.at(number) for number in range(self.count)]
-
-
 def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
     """Read the option `ranges`: for each name two shares of the value, or `low` and `high` in the parameter's unit.
 
@@ -113,8 +95,8 @@ def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
     return ranges
 
 
-def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) -> Variants:
-    """Draw drives: identifiable parameters from their joint distribution, parameters with a stated range uniformly.
+def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) -> tuple[Quantity, ...]:
+    """Draw the parameters that vary: identifiable ones from their joint distribution, those with a range uniformly.
 
     An identifiable parameter with a stated range keeps the order of its draws, and so its correlations.
 
@@ -142,7 +124,7 @@ def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) ->
             quantities.append(Quantity(name, parameter.unit, values, parameter.value, ends, tuple(why)))
     if not quantities:
         raise ExportError(f"{fitted.place}: nothing was identified, expected what varies; state a range, {_EXAMPLE}")
-    return Variants(fitted, tuple(quantities), count)
+    return tuple(quantities)
 
 
 def _stated(ranges: Ranges, label: str) -> Range | None:
@@ -194,15 +176,18 @@ def _spread(
 
 
 def list_quantities(
-    variants: Variants, nominal: Nearest, each: Sequence[Nearest], inputs: Mapping[str, float]
+    fitted: FittedDrive,
+    parameters: Sequence[Quantity],
+    values: Sequence[Values],
+    drives: Sequence[Nearest],
+    inputs: Mapping[str, float],
 ) -> tuple[Quantity, ...]:
     """List quantities of MuJoCo's joints, and varying quantities of a position-controlled motor.
 
-    `nominal` is the fitted drive and `each` the drawn drives with MuJoCo's joint friction; `inputs` are gain and supply
-    of a servo.
+    `values` are those of the fitted drive and of each drawn one, `drives` the same with MuJoCo's joint friction;
+    `inputs` are gain and supply of a servo.
     """
-    fitted, drives = variants.fitted, (nominal, *each)
-    units, values = UNITS[fitted.bench.joint_type], [fitted.values, *variants.all]
+    units = UNITS[fitted.bench.joint_type]
     joint = {
         "armature": ("inertia", [drive.bench["armature"] for drive in drives]),
         "frictionloss": ("torque", [drive.frictionloss for drive in drives]),
@@ -211,7 +196,9 @@ def list_quantities(
     static = [at_rest(fitted, of, drive.frictionloss) for of, drive in zip(values, drives, strict=True)]
     if any((torque != drive.frictionloss).any() for torque, drive in zip(static, drives, strict=True)):
         joint["static_friction"] = ("torque", static)
-    quantities = [_describe(variants, f"joint.{name}", units[of], np.array(rows)) for name, (of, rows) in joint.items()]
+    quantities = [
+        _describe(parameters, f"joint.{name}", units[of], np.array(rows)) for name, (of, rows) in joint.items()
+    ]
     try:
         motors_of = [motors(replace(fitted, values=of), inputs) for of in values]
     except ExportError:  # not position-controlled
@@ -220,7 +207,7 @@ def list_quantities(
     for name, of in MOTOR.items():
         rows = np.array([[getattr(motor, name) for motor in joints] for joints in motors_of])
         if np.isfinite(rows).all():
-            of_motor.append(_describe(variants, f"actuator.{name}", units[of], rows))
+            of_motor.append(_describe(parameters, f"actuator.{name}", units[of], rows))
     gains = any(any(one.why) for one in of_motor[:2])  # simulators set both gains together
     return (*quantities, *(one for place, one in enumerate(of_motor) if any(one.why) or (gains and place < 2)))
 
@@ -235,7 +222,7 @@ def at_rest(fitted: FittedDrive, values: Values, frictionloss: Float[np.ndarray,
     return friction
 
 
-def _describe(variants: Variants, name: str, unit: str, rows: Float[np.ndarray, "drives nv"]) -> Quantity:
+def _describe(parameters: Sequence[Quantity], name: str, unit: str, rows: Float[np.ndarray, "drives nv"]) -> Quantity:
     """Describe a quantity; the first row is the fitted drive, the others are drawn drives."""
     nominal, values = rows[0], rows[1:]
     ends, why = np.repeat(nominal[:, None], 2, axis=1), [""] * len(nominal)
@@ -243,7 +230,7 @@ def _describe(variants: Variants, name: str, unit: str, rows: Float[np.ndarray, 
         if np.ptp(values[:, joint]) <= _SAME * size:
             continue
         ends[joint], why[joint] = np.quantile(values[:, joint], QUANTILES), "middle 95 % of the draws"
-        for parameter in variants.parameters:
+        for parameter in parameters:
             # A quantity that equals a parameter plus a constant has the parameter's range.
             difference = values[:, joint] - parameter.values[:, joint]
             if parameter.why[joint] and np.ptp(difference) <= _SAME * size:
