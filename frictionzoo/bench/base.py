@@ -57,7 +57,7 @@ class Bench(Described):
 
     Args:
         mjcf: Path of the template, or the name of a template in the package (`knee_rod.xml`, `emps.xml`).
-        joint: Name or names of the identified joints; None for a template with a single joint.
+        joint: Names of the identified joints, or patterns as in `Robot`; None for a template with a single joint.
         actuator: Actuator law, which converts a command into torque.
         params: Sections of `armature` and of three optional parameters: `delay` of the commands [s], `position_offset`,
             added to the measured position [rad or m], and `torque_offset`, a constant torque, for example of a cable
