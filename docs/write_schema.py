@@ -1,21 +1,22 @@
-"""JSON schemas of files, written from the types of their content: `python docs/write_schema.py`."""
+"""JSON schemas of files, written from the records of their content: `python docs/write_schema.py`."""
 
 import ast
 import inspect
 import json
-import sys
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Any
 
+import msgspec
+
+from frictionzoo.core.records import Record
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.types import Result
 
 TYPES = {"result": Result, "comparison": Comparison}  # NAME.schema.json is next to the type's file
-PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", NoneType: "null"}
 
 
 def make_schema(name: str) -> dict[str, Any]:
@@ -26,12 +27,17 @@ def make_schema(name: str) -> dict[str, Any]:
     Args:
         name: Key of `TYPES`.
     """
-    root = TYPES[name]
-    places = Counter(_find_objects(root, set()))
-    shared = {cls: cls.__name__.removesuffix("Row").lower() for cls, count in places.items() if count > 1}
+    kind = TYPES[name]
+    _, objects = msgspec.json.schema_components([kind], ref_template="{name}")
+    texts = {cls.__name__: dict(_read_texts(cls)) for cls in _list_records(Record)}
+    for title, schema in objects.items():
+        fields = schema["properties"]
+        schema["properties"] = {key: _describe(texts[title].get(key), field) for key, field in fields.items()}
+    uses = Counter(_list_references(list(objects.values())))
+    shared = {title: re.sub(r"(?<=[a-z])(?=[A-Z])", "_", title).lower() for title, count in uses.items() if count > 1}
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"{name}.json"}
-    definitions = {kind: _describe_object(cls, shared) for cls, kind in shared.items()}
-    return head | _describe_object(root, shared) | {"$defs": definitions}
+    root = head | _tidy(objects[kind.__name__], objects, shared)
+    return root | {"$defs": {shared[title]: _tidy(objects[title], objects, shared) for title in shared}}
 
 
 def find_path(name: str) -> Path:
@@ -59,64 +65,55 @@ def lay_out(value: Any, indent: str = "") -> str:
     return "\n".join([begin, ",\n".join(lines), indent + end])
 
 
-def _find_objects(hint: Any, seen: set[type]) -> Iterator[type]:
-    """Yield the object types in a type, once for each use."""
-    if is_typeddict(hint):
-        yield hint
-        inner = () if hint in seen else get_type_hints(hint, include_extras=True).values()
-        seen.add(hint)
-    else:
-        inner = get_args(hint)
-    for part in inner:
-        yield from _find_objects(part, seen)
+def _describe(text: str | None, field: Mapping[str, Any]) -> dict[str, Any]:
+    return {"description": text, **field} if text else dict(field)
 
 
-def _describe_object(cls: type, shared: Mapping[type, str]) -> dict[str, Any]:
-    fields = {key: _describe(hint, shared) for key, hint in get_type_hints(cls, include_extras=True).items()}
-    for key, text in _read_texts(cls).items():
-        fields[key].pop("description", None)
-        fields[key] = {"description": text, **fields[key]}
-    shape = {"type": "object", "additionalProperties": False, "required": [*fields], "properties": fields}
-    return {"description": _flow(cls.__doc__), **shape} if cls.__doc__ else shape
+def _list_references(node: Any) -> Iterator[str]:
+    """Yield the name of an object for each of its uses."""
+    if isinstance(node, Mapping) and "$ref" in node:
+        yield node["$ref"]
+    for part in node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ():
+        yield from _list_references(part)
 
 
-def _describe(hint: Any, shared: Mapping[type, str]) -> dict[str, Any]:
-    if hint in shared:
-        return {"$ref": f"#/$defs/{shared[hint]}"}
-    if is_typeddict(hint):
-        return _describe_object(hint, shared)
-    origin, args = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _describe(args[0], shared) | dict(hint.__metadata__)
-    if origin is Literal:
-        return {"const": args[0]} if len(args) == 1 else {"enum": [*args]}
-    if origin is list:
-        return {"type": "array", "items": _describe(args[0], shared)}
-    if origin is dict:
-        named = {} if args[1] is Any else {"additionalProperties": _describe(args[1], shared)}
-        return {"type": "object", **named}
-    if origin in (Union, UnionType):
-        variants = [_describe(part, shared) for part in args]
-        if len(args) == 2 and args[1] is NoneType and "type" in variants[0]:
-            return variants[0] | {"type": [variants[0]["type"], "null"]}
-        return {"oneOf": variants}
-    return {"type": PLAIN[hint]}
+def _tidy(node: Any, objects: Mapping[str, Any], shared: Mapping[str, str]) -> Any:
+    """Return a schema of msgspec in the form of the files: no titles, one object in the place of its only use."""
+    if not isinstance(node, Mapping):
+        return [_tidy(part, objects, shared) for part in node] if isinstance(node, list) else node
+    node = {key: part for key, part in node.items() if key != "title" or not isinstance(part, str)}
+    if "description" in node and isinstance(node["description"], str):
+        node["description"] = " ".join(node["description"].split())
+    if (name := node.pop("$ref", None)) in shared:
+        return {**node, "$ref": f"#/$defs/{shared[name]}"}
+    if name is not None:
+        return _tidy({**objects[name], **node}, objects, shared)
+    if len(node.get("enum", ())) == 1:
+        (node["const"],) = node.pop("enum")
+    if "anyOf" in node:
+        first, *others = _tidy(node.pop("anyOf"), objects, shared)
+        if others == [{"type": "null"}] and "type" in first:
+            return {**first, **node, "type": [first["type"], "null"]}
+        return {**node, "oneOf": [first, *others]}
+    return {key: _tidy(part, objects, shared) for key, part in node.items()}
 
 
-def _read_texts(cls: type) -> dict[str, str]:
-    """Return the text below each key of a class that has one."""
-    tree = ast.parse(inspect.getsource(sys.modules[cls.__module__]))
-    bodies = (node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == cls.__name__)
-    lines = next(bodies, [])
-    found = {}
-    for key, text in pairwise(lines):
-        if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr):
-            found[ast.unparse(key.target)] = _flow(ast.literal_eval(text.value))
-    return found
+def _list_records(cls: type[Record]) -> Iterator[type[Record]]:
+    for record in cls.__subclasses__():
+        yield record
+        yield from _list_records(record)
 
 
-def _flow(text: str) -> str:
-    return " ".join(text.split())
+def _read_texts(cls: type[Record]) -> Iterator[tuple[str, str]]:
+    """Yield the fields of a record that have a text below them, and the text."""
+    for parent in reversed(cls.__mro__):
+        if not (issubclass(parent, Record) and parent.__module__.startswith("frictionzoo.")):
+            continue
+        (node,) = ast.parse(inspect.getsource(parent)).body
+        assert isinstance(node, ast.ClassDef)
+        for key, text in pairwise(node.body):
+            if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr):
+                yield ast.unparse(key.target), " ".join(ast.literal_eval(text.value).split())
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from frictionzoo.api.comparison_files import write_comparison
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import read_runs
-from frictionzoo.result.comparison.types import Comparison, RunRow
+from frictionzoo.result.comparison.types import ComparedRun, Comparison
 
 EXPERIMENTS = Path(__file__).parent
 PROGRAM = "python -m frictionzoo.run "
@@ -112,7 +112,7 @@ def compare_with(value: Any, other: Any) -> Any:
     return None if value is None or not other else value / other
 
 
-def find_run(comparison: Comparison, label: str | None, fold: str | None = None) -> RunRow:
+def find_run(comparison: Comparison, label: str | None, fold: str | None = None) -> ComparedRun:
     """Return the entry of a run.
 
     Args:

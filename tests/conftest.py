@@ -14,11 +14,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import absl.logging
 import jax
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -30,6 +33,8 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.cli.run import main
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
+from frictionzoo.core.output import to_json
+from frictionzoo.core.records import Record
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit.objective import Objective
@@ -38,6 +43,8 @@ from frictionzoo.models.by_name import complete_laws
 from frictionzoo.report import with_matplotlib
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.curves import Curves
+from frictionzoo.result.record import PACKAGES, SCHEMA_VERSION
+from frictionzoo.result.types import Result
 from frictionzoo.simulation.base import FORWARD
 from frictionzoo.simulation.context import computing
 
@@ -384,8 +391,30 @@ def make_runs() -> Callable[..., list[Run]]:
     each, `diverged`, whose every rollout leaves the finite numbers halfway, and `grid`, found by a grid search.
     """
     return lambda labels, joints=1, diverged=None, grid=None: [
-        _make_run(i, label, joints, label == diverged, label == grid) for i, label in enumerate(labels)
+        make_run(i, label, joints, label == diverged, label == grid) for i, label in enumerate(labels)
     ]
+
+
+def changed(record: Any, **changes: Any) -> Any:
+    """Copy a record with other content, as if read from its file; a mapping changes only its own keys of a section."""
+
+    def merge(content: Any, changes: Any) -> Any:
+        if not isinstance(content, dict) or not isinstance(changes, dict):
+            return changes
+        return content | {key: merge(content.get(key), value) for key, value in changes.items()}
+
+    return msgspec.convert(merge(to_json(record), to_json(changes)), type(record))
+
+
+def put(record: Any, path: str, value: Any) -> None:
+    """Set a field of a record or an entry of its lists, by a path such as `fit.moving`, to plain content."""
+    *sections, key = [int(name) if name.isdigit() else name for name in path.split(".")]
+    section: Any = reduce(getitem, sections, record)
+    if isinstance(section, Record):
+        kind = get_type_hints(type(section), include_extras=True)[str(key)]
+        setattr(section, str(key), msgspec.convert(to_json(value), kind))
+    else:
+        section[key] = value
 
 
 def trace_nothing(segments: Segments) -> Curves:
@@ -402,7 +431,8 @@ def spoil(objective: Objective) -> None:
     objective.data = data._replace(signals=data.signals.map(lambda signal: signal.at[0].set(np.nan)))
 
 
-def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -> Run:
+def make_run(place: int, label: str, joints: int = 1, diverged: bool = False, grid: bool = False) -> Run:
+    """Make the run at this place of a ranking."""
     noise = np.random.default_rng(place)
     time = 0.01 * np.arange(101)[None, :, None]
     measured = np.sin(5 * time + np.arange(3)[:, None, None] + np.arange(joints))
@@ -425,7 +455,7 @@ def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -
     return Run(label, Path(f"{place}_{label}"), _make_result(place, label, curves, grid), curves)
 
 
-def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str, Any]:
+def _make_result(place: int, label: str, curves: Curves, grid: bool) -> Result:
     joints, damping = curves.qpos.shape[2], curves.history["friction.damping"][-1]
     names = [f"joint {i}" for i in range(joints)]
     fitted = {"low": 0.1, "high": 100.0, "identified": True, "at_bound": False, "interval": None, "identifiable": None}
@@ -438,7 +468,8 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
     values = [float(value) for value in damping]
     by_joint = [{"name": name, "joints": [name], "value": v, **fitted} for name, v in zip(names, values, strict=True)]
     row = {"name": "damping", "owner": "friction", "unit": "N m s/rad", **fitted, "by_joint": by_joint}
-    return {
+    content = {
+        "schema_version": SCHEMA_VERSION,
         "model": label.split()[0],
         "joints": names,
         "data": {
@@ -461,7 +492,11 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
         "proof": {"step": 0.0, "rollout": 1e-15, "cases": 32, "steps": 8},
         **{"warnings": [], "not_identified": None, "reference": [], "residual": None},
         "settings": {"seed": place},
+        **{"columns": [], "covariance": None, "recipe": [], "notes": [], "device": "cpu", "written": []},
+        "versions": dict.fromkeys(("python", *PACKAGES), "1"),
+        "verdict": {"grade": "nothing speaks against it", "findings": [], "commands": []},
     }
+    return msgspec.convert(content, Result)
 
 
 def _measure(mae: np.ndarray) -> dict[str, Any]:

@@ -1,10 +1,9 @@
 """Results of several joints: which one is at a bound, vague or worse, in the record, on a terminal and on a page."""
 
 import copy
-import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -16,6 +15,7 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base_parameters import BaseParameters
 from frictionzoo.bench.inertia import SYMBOLS
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.output import to_json
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.tilt import Tilt
 from frictionzoo.fit.uncertainty import Covariance, Uncertainty
@@ -25,8 +25,9 @@ from frictionzoo.report.terminal import summarise
 from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.names import label_values, merge_known, name_some
-from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
-from frictionzoo.result.section_types import TorqueRow
+from frictionzoo.result.record import build_result, pick_metrics, read_schema
+from frictionzoo.result.section_types import JointTorque, Torque, TorqueErrors, TorqueParts
+from frictionzoo.result.types import EvaluationRollouts
 from frictionzoo.result.verdict import doubt_joints, explain_failure
 
 SECTION: dict[str, Any] = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}
@@ -43,13 +44,12 @@ def follow(values: Any, qpos: Any, qvel: Any, signals: Any, load: Any) -> tuple[
     return signals.ctrl + values["bench"]["offset"], np.zeros_like(signals.ctrl)
 
 
-def torque_row() -> TorqueRow:
+def torque_row() -> Torque:
     """What is left of torque: more of each joint than of the one before."""
-    rows = [{"residual": 0.1 * number, "torque": 2.0} for number in range(1, 5)]
-    mean = {"residual": 0.25, "torque": 2.0}
-    by_joint = [{"joint": j, "train": r, "test": r} for j, r in zip(JOINTS, rows, strict=True)]
-    how = {"compared": "torque", "unit": "N m", "bandwidth": 20.0, "held": False}
-    return cast(TorqueRow, {**how, "mean": {"train": mean, "test": mean}, "by_joint": by_joint})
+    rows = [TorqueErrors(residual=0.1 * number, torque=2.0) for number in range(1, 5)]
+    mean = TorqueErrors(residual=0.25, torque=2.0)
+    by_joint = [JointTorque(joint, row, row) for joint, row in zip(JOINTS, rows, strict=True)]
+    return Torque("torque", "N m", bandwidth=20.0, held=False, mean=TorqueParts(mean, mean), by_joint=by_joint)
 
 
 def links_found() -> LinkInertia:
@@ -66,7 +66,7 @@ def links_found() -> LinkInertia:
 
 
 @pytest.fixture(scope="module")
-def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
+def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Four joints: armature is tied by motor, and frictionloss is at a bound in one joint and vague in another."""
     path = tmp_path_factory.mktemp("by_joint") / "legs.xml"
     path.write_text(MJCF.format(LIMB.format("FL") + LIMB.format("FR")))
@@ -93,9 +93,13 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
         {name: np.array(joints) for name, joints in determined.items()},
         (("friction.frictionloss/FL_knee", "friction.frictionloss/FR_knee"),),
     )
-    return Findings(
-        **{"name": "mujoco_default", "bench": bench, "model": law, "values": values, "dataset": dataset},
-        **{"evaluation": evaluation, "judgement": judge(0.01, 0.02, 0.03, 0.1), "baseline": judge(*[0.05] * 4)},
+    return dict(
+        **{"model_name": "mujoco_default", "bench": bench, "model": law, "values": values, "dataset": dataset},
+        **{
+            "evaluation": EvaluationRollouts(evaluation.sha256, 0.02),
+            "judgement": judge(0.01, 0.02, 0.03, 0.1),
+            "baseline": judge(*[0.05] * 4),
+        },
         **{"reference": bench.initial_values(), "fit": FIT, "timing": TIMING, "settings": SETTINGS, "engine": "mjx"},
         **{
             "torque": torque_row(),
@@ -104,13 +108,15 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
             "warnings": [],
             "device": "cpu",
             "uncertainty": found,
+            "recipe": [],
+            "residual": None,
         },
     )
 
 
 @pytest.fixture
-def result(findings: Findings) -> Any:
-    return build_result(findings)
+def result(findings: dict[str, Any]) -> Any:
+    return build_result(**findings)
 
 
 def of(result: Any, name: str) -> Any:
@@ -118,7 +124,7 @@ def of(result: Any, name: str) -> Any:
 
 
 def test_the_record_tells_which_joint(result: Any) -> None:
-    jsonschema.Draft202012Validator(read_schema()).validate(json.loads(json.dumps(result)))
+    jsonschema.Draft202012Validator(read_schema()).validate(to_json(result))
     loss = of(result, "frictionloss")
     assert (loss["at_bound"], loss["identifiable"]) == (True, False)
     assert [row["at_bound"] for row in loss["by_joint"]] == [False, True, False, False]
@@ -133,7 +139,7 @@ def test_the_record_tells_which_joint(result: Any) -> None:
     assert result["notes"] == ["contacts are left out"]
 
 
-def test_what_is_drawn_of_each_joint_stays_where_it_is_known_or_vague(findings: Findings) -> None:
+def test_what_is_drawn_of_each_joint_stays_where_it_is_known_or_vague(findings: dict[str, Any]) -> None:
     labels = (
         "bench.armature/hips",
         "bench.armature/knees",
@@ -141,7 +147,7 @@ def test_what_is_drawn_of_each_joint_stays_where_it_is_known_or_vague(findings: 
     )
     spread = Covariance(labels, np.log([0.1] * 5), 0.01 * np.eye(5), 49.0)
     result = build_result(replace(findings, uncertainty=replace(findings.uncertainty, covariance=spread)))
-    jsonschema.Draft202012Validator(read_schema()).validate(json.loads(json.dumps(result)))
+    jsonschema.Draft202012Validator(read_schema()).validate(to_json(result))
     found = draw_parameters("here", result, findings.bench, findings.model, 1000, seed=0)
     assert found.keys() == {"bench.armature", "friction.frictionloss"}  # of damping nothing is said
     armature, loss = found["bench.armature"], found["friction.frictionloss"]
@@ -153,9 +159,9 @@ def test_what_is_drawn_of_each_joint_stays_where_it_is_known_or_vague(findings: 
     assert np.log(drawn).std(axis=0) == pytest.approx(0.1, rel=0.1)
 
 
-def test_the_errors_of_the_joints_have_the_mean_of_all(result: Any, findings: Findings) -> None:
+def test_the_errors_of_the_joints_have_the_mean_of_all(result: Any, findings: dict[str, Any]) -> None:
     assert [row["joint"] for row in result["by_joint"]] == list(JOINTS)
-    for part, metrics in result["metrics"].items():
+    for part, metrics in to_json(result.metrics).items():
         errors = [row[part] for row in result["by_joint"]]
         assert np.mean([e["position_mae"] for e in errors]) == pytest.approx(metrics["position_mae"], rel=1e-12)
         for key in ("position_rmse", "velocity_rmse"):

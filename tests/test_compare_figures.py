@@ -7,12 +7,13 @@ import jsonschema
 import matplotlib
 import numpy as np
 import pytest
+from conftest import put
 from matplotlib import colors
 from matplotlib.container import BarContainer
 from matplotlib.image import imread
 
 from frictionzoo.core.manifest import MANIFEST
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.report.comparison_plots import arrange, choose_looks, write_figures
 from frictionzoo.report.with_matplotlib import draw, save_figure
 from frictionzoo.result.comparison.record import compare_runs, read_schema
@@ -43,7 +44,7 @@ NAMES = [
 
 def compare(runs):
     comparison = compare_runs(runs, [])
-    jsonschema.Draft202012Validator(read_schema()).validate(comparison)
+    jsonschema.Draft202012Validator(read_schema()).validate(to_json(comparison))
     return comparison
 
 
@@ -119,7 +120,7 @@ def test_figure3_of_a_grid_search_has_points_where_it_improved(make_runs):
 
 def test_figure3_names_joints_and_networks(make_runs):
     runs = make_runs(["neural"], joints=2)
-    runs[0].result["network"] = {"weights": 4545}
+    put(runs[0].result, "network", {"weights": 4545})
     panels = panels_of("figure3_parameters", compare(runs), runs)
     titles = [axes.get_legend().get_title().get_text() for axes in panels]
     assert titles == [f"neural, joint {i} (4545 weights not shown)" for i in range(2)]
@@ -127,7 +128,7 @@ def test_figure3_names_joints_and_networks(make_runs):
 
 def test_figure3_without_parameters_is_not_drawn(runs, comparison, tmp_path):
     for run in runs:
-        run.result["parameters"][0]["identified"] = False
+        run.result.parameters[0].identified = False
     assert figure_of("figure3_parameters", comparison, runs) is None
 
 
@@ -254,8 +255,8 @@ def test_errors_of_different_sizes_are_logarithmic(runs, comparison):
 def test_a_run_without_friction_does_not_hide_the_others(make_runs):
     runs = make_runs(["a", "b", "c", "baseline"])
     runs[-1].curves.qpos[:] += 1e6 * np.arange(100)[:, None]
-    for metrics in runs[-1].result["metrics"].values():
-        metrics["position_mae"] = metrics["position_mae_std"] = 1e6
+    for part in ("train", "test", "baseline"):
+        runs[-1].result.metrics[part].position_mae = runs[-1].result.metrics[part].position_mae_std = 1e6
     comparison = compare(runs)
     position, velocity = panels_of("figure4_trajectories", comparison, runs)
     assert np.abs(position.get_ylim()).max() < 10 and np.abs(velocity.get_ylim()).max() < 50

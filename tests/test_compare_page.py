@@ -1,16 +1,14 @@
 """`comparison.html`: its answers, hostile names, nothing from elsewhere, and how a real browser shows it."""
 
-import copy
 import json
 import re
 from dataclasses import replace
-from functools import reduce
-from operator import getitem
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 from browser import CLIPPED, WIDTHS, needs_browser, open_page, read_data
+from conftest import changed, put
 from test_html import HOSTILE, Page, judge_targets
 from test_report import bench, dataset, evaluation, model, of_joints, result  # noqa: F401
 
@@ -58,20 +56,20 @@ def make_curves(error, joints, rollouts, seed):
 
 
 def make_run(folder, result, label, error, joints=("knee",), rollouts=10, seed=0):  # noqa: F811
-    record = of_joints(result, *joints) | {"model": label.partition(" ")[0]}
-    record["fit"]["stopped"] = "finished"
+    record = changed(of_joints(result, *joints), model=label.partition(" ")[0], fit={"stopped": "finished"})
     curves = make_curves(error, len(joints), rollouts, seed)
     for part in ("train", "test"):
         errors = {"position_mae": float(curves.test_mae.mean()), "position_mae_std": float(curves.test_mae.std())}
-        record["metrics"][part] |= errors | {"rollouts": rollouts}
+        record = changed(record, metrics={part: errors | {"rollouts": rollouts}})
     return Run(label, folder / f"{seed}_{record['model']}", record, curves)
 
 
 def diverge(run):
     """The same run with every rollout lost, from the first step on."""
-    record = copy.deepcopy(run.result)
-    for part in ("train", "test"):
-        record["metrics"][part] |= LOST | {"diverged": record["metrics"][part]["rollouts"]}
+    metrics = run.result.metrics
+    record = changed(
+        run.result, metrics={part: LOST | {"diverged": metrics[part].rollouts} for part in ("train", "test")}
+    )
     lost = {name: np.full_like(getattr(run.curves, name), np.nan) for name in ("qpos", "qvel", "test_mae", "local_mae")}
     return replace(run, result=record, curves=replace(run.curves, **lost))
 
@@ -116,7 +114,7 @@ def suggest(run: Run, law: str, recording: str, grade: str = "use it with care")
     """Let a run's verdict have these commands."""
     commands = {"law": law, "recording": recording, "export": "export"}
     rows = [{"kind": kind, "command": command} for kind, command in commands.items()]
-    run.result["verdict"] = {"grade": grade, "findings": [], "commands": rows}  # pyright: ignore[reportGeneralTypeIssues]
+    put(run.result, "verdict", {"grade": grade, "findings": [], "commands": rows})
 
 
 def test_the_page_opens_with_what_to_take_and_what_to_do(runs, tmp_path, monkeypatch):
@@ -165,8 +163,7 @@ def test_a_drive_that_is_not_to_be_used_goes_nowhere(runs, tmp_path, monkeypatch
         run.folder.mkdir()
         (run.folder / RESULT).touch()
         suggest(run, f"{RUN} data=twin model=lugre", "python -m frictionzoo.design", DO_NOT_USE)
-        verdict = run.result["verdict"]
-        verdict["commands"] = [{"kind": "repair", "command": f"{RUN} data.clean.spikes=repair"}]
+        put(run.result, "verdict.commands", [{"kind": "repair", "command": f"{RUN} data.clean.spikes=repair"}])
     source, _ = show(tmp_path / "comparison.html", runs)
     text = plain(source)
     assert "data.clean.spikes=repair" in text and "fz.load(" in text
@@ -177,9 +174,9 @@ def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811
     home = "/home/some body/logs"
     runs = [make_run(tmp_path, result, "baseline", 0.01 * (1 + i), seed=i) for i in range(2)]
     for i, run in enumerate(runs):
-        run.result["data"]["logs"][0]["name"] = f"{home}/a.csv"
-        run.result["warnings"] = [f"{home}/a.csv: 3 samples are missing"]
-        run.result["settings"] |= {"seed": 0, "bench": {"mjcf": f"{home}/stand{i}.xml"}, "data": [f"{home}/a.csv"]}
+        run.result.data.logs[0].name = f"{home}/a.csv"
+        run.result.warnings = [f"{home}/a.csv: 3 samples are missing"]
+        run.result.settings |= {"seed": 0, "bench": {"mjcf": f"{home}/stand{i}.xml"}, "data": [f"{home}/a.csv"]}
         (run.folder / ".hydra").mkdir(parents=True)
         (run.folder / ".hydra" / "overrides.yaml").write_text(json.dumps([f"bench.mjcf={home}/stand{i}.xml"]))
     labelled = gather(runs)
@@ -195,7 +192,7 @@ def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811
 def test_same_names_in_other_folders_are_told_apart(result, tmp_path):  # noqa: F811
     runs = [make_run(tmp_path, result, "baseline", 0.01, seed=i) for i in range(2)]
     for run, folder in zip(runs, "ab", strict=True):
-        run.result["settings"] |= {"seed": 0, "bench": {"mjcf": f"/{folder}/stand.xml"}}
+        run.result.settings |= {"seed": 0, "bench": {"mjcf": f"/{folder}/stand.xml"}}
     assert [run.label for run in gather(runs)] == ["baseline (0_baseline)", "baseline (1_baseline)"]
 
 
@@ -322,10 +319,10 @@ def test_hostile_names_stay_text(runs, result, tmp_path):  # noqa: F811
     hostile.folder.mkdir(parents=True)
     (hostile.folder / "report.html").touch()
     for run in (hostile, *runs):
-        run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = HOSTILE
-        run.result.update(of_joints(run.result, HOSTILE))
-    hostile.result["parameters"][0]["name"] = HOSTILE
-    hostile.result["settings"]["loss"] = {HOSTILE: HOSTILE}
+        run.result.data.name = run.result.data.logs[0].name = HOSTILE
+    runs = [replace(run, result=of_joints(run.result, HOSTILE)) for run in runs]
+    hostile.result.parameters[0].name = HOSTILE
+    hostile.result.settings["loss"] = {HOSTILE: HOSTILE}
     source, _ = show(tmp_path / "comparison.html", [hostile, *runs], [Failure(HOSTILE, HOSTILE, HOSTILE)])
     page = Page(source)
     tags = [tag for tag, _ in page.elements]
@@ -376,22 +373,22 @@ def test_no_doubts_about_good_runs(runs):
 @pytest.mark.parametrize(
     ("spoilt", "value", "title", "state", "text"),
     [
-        (("parameters", 0, "at_bound"), True, "Bounds", "caution", "baseline (armature)"),
-        (("fit", "stopped"), "diverged", "Fits", "caution", "baseline"),
-        (("settings", "segments"), {"count": 7, "length": 5}, "Different fit options", "caution", "segments"),
-        (("settings", "seed"), 5, "Same fit options", "note", "seed"),
-        (("metrics", "test", "diverged"), 2, "Stability", "caution", "baseline (2 of 10 on test"),
+        ("parameters.0.at_bound", True, "Bounds", "caution", "baseline (armature)"),
+        ("fit.stopped", "diverged", "Fits", "caution", "baseline"),
+        ("settings.segments", {"count": 7, "length": 5}, "Different fit options", "caution", "segments"),
+        ("settings.seed", 5, "Same fit options", "note", "seed"),
+        ("metrics.test.diverged", 2, "Stability", "caution", "baseline (2 of 10 on test"),
     ],
 )
 def test_a_reason_for_doubt_is_said(runs, spoilt, value, title, state, text):
-    reduce(getitem, spoilt[:-1], runs[2].result)[spoilt[-1]] = value
+    put(runs[2].result, spoilt, value)
     check = checks_of(runs)[title]
     assert check.state == state and text in check.text
 
 
 def test_a_recommended_run_that_diverged_is_a_problem(runs):
     for run in runs:
-        run.result["metrics"]["test"]["diverged"] = 2
+        run.result.metrics.test.diverged = 2
     assert checks_of(runs)["Stability"].state == "bad"
 
 
@@ -454,9 +451,9 @@ def test_the_page_does_not_scroll_sideways(runs, result, tmp_path):  # noqa: F81
     name = "law-with-a-very-long-name-that-cannot-be-broken-anywhere-at-all-in-any-table"
     runs = [*runs, make_run(tmp_path, result, name, 0.02, seed=3)]
     for run in runs:
-        run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = name
-        for row in (row for parameter in run.result["parameters"] for row in parameter["by_joint"]):
-            row |= {"identifiable": False, "interval": [0.0123456, 0.0234567]}
+        run.result.data.name = run.result.data.logs[0].name = name
+        for row in (row for parameter in run.result.parameters for row in parameter.by_joint):
+            row.identifiable, row.interval = False, [0.0123456, 0.0234567]
     show(tmp_path / "comparison.html", runs, [Failure(name, name, name)])
     for width in (390, 1440):
         browser = open_page(tmp_path / "comparison.html", width=width)

@@ -12,6 +12,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from conftest import changed
 from omegaconf import OmegaConf
 from pages import ROOT
 
@@ -84,7 +85,7 @@ def test_the_readme_is_the_front_page_and_leads_every_reader_to_a_tutorial(site:
 
 def test_the_picture_shows_a_run(finished_run: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     picture, fit = load("draw_landing", monkeypatch), fz.load(finished_run("mujoco_default")[0])
-    simulated = fit.result | {"data": fit.result["data"] | {"origin": "simulated"}}
+    simulated = changed(fit.result, data={"origin": "simulated"})
     position, error = picture.draw(replace(fit, result=simulated)).axes
     measured, without, found = (line.get_ydata() for line in position.lines)
     assert np.array_equal(measured, fit.curves.measured_qpos[0, 1 :: picture.EVERY, 0])

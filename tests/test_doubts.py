@@ -3,11 +3,12 @@
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from conftest import needs_data
+from conftest import make_run, needs_data
 
 from frictionzoo.bench import Bench, Force
 from frictionzoo.bench.regressor import inverse_torque
@@ -21,6 +22,7 @@ from frictionzoo.diagnostics.following import Followed, check_following
 from frictionzoo.diagnostics.lags import compare
 from frictionzoo.diagnostics.recordings import check_up, find_all
 from frictionzoo.identification.solve import list_moving
+from frictionzoo.result.types import Parameter, Result, Value
 from frictionzoo.result.verdict import doubt_errors, doubt_reference, explain_failure
 
 ARMATURE = {"init": 50.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}
@@ -284,22 +286,34 @@ def test_what_mujoco_would_touch_on_the_way_is_told(recorded: tuple[Log, Bench],
     assert any("geoms floor and rod touch in" in sentence for sentence in told)
 
 
+def at_bounds(
+    *names: str, owner: Any = "bench", unit: str = "kg", value: float = 0.1, low: float = 0.1
+) -> list[Parameter]:
+    """Parameters of a knee that ended at a bound."""
+    about: Any = {"value": value, "low": low, "high": 2.0, "identified": True, "at_bound": True}
+    unknown: Any = {"interval": None, "identifiable": None}
+    rows = [Value(name="knee", joints=["knee"], **about, **unknown)]
+    return [Parameter(name=name, owner=owner, unit=unit, by_joint=rows, **about, **unknown) for name in names]
+
+
+def errors(result: Result, test: float | None) -> Result:
+    result.metrics.test.position_mae, result.metrics.baseline.position_mae = test, 0.1
+    return result
+
+
 def test_a_fit_at_its_bounds_that_gains_little_did_not_identify_the_drive() -> None:
-    ended = {"owner": "bench", "at_bound": True, "by_joint": [{"name": "knee", "at_bound": True}]}
-    parameters = [{**ended, "name": name} for name in ("armature", "kp")]
-    metrics = {"test": {"position_mae": 0.04}, "baseline": {"position_mae": 0.1}}
-    result = {"parameters": parameters, "metrics": metrics, "warnings": ["qvel is late"]}
+    result = errors(make_run(0, "stribeck").result, 0.04)
+    result.parameters, result.warnings = at_bounds("armature", "kp"), ["qvel is late"]
     why, first, *_ = explain_failure(result) or [""]
     assert "bench.armature and bench.kp ended at their bounds, and the test error is 40 % of" in why
     assert first == "qvel is late"
-    assert explain_failure(result | {"parameters": parameters[:1]}) is None
+    assert explain_failure(errors(result, 0.03)) is None
+    assert explain_failure(errors(result, None))
+    result.parameters = at_bounds("armature")
+    assert explain_failure(errors(result, 0.04)) is None
     for value, refused in ((0.1, False), (2.0, True)):  # a drive without dry friction is a drive
-        bound = {"name": "knee", "at_bound": True, "low": 0.1, "high": 2.0, "value": value}
-        torque = {"owner": "friction", "unit": "N m", "at_bound": True, "by_joint": [bound]}
-        both = [{**torque, "name": name} for name in ("static_torque", "kinetic_torque")]
-        assert (explain_failure(result | {"parameters": both}) is not None) == refused
-    assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": 0.03}}}) is None
-    assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": None}}})
+        result.parameters = at_bounds("static_torque", "kinetic_torque", owner="friction", unit="N m", value=value)
+        assert (explain_failure(result) is not None) == refused
 
 
 def test_a_parameter_that_moves_when_the_fit_ends_is_named() -> None:
@@ -313,16 +327,16 @@ def test_a_parameter_that_moves_when_the_fit_ends_is_named() -> None:
 
 
 def test_a_drive_without_friction_at_a_bound_is_no_reference() -> None:
-    knee = {"name": "knee", "low": 1.0, "high": 1000.0, "at_bound": True}
-    row = {"owner": "bench", "name": "armature", "unit": "kg", "at_bound": True, "by_joint": [knee]}
+    (row,) = at_bounds("armature", low=1.0)
     said = doubt_reference([row])
-    assert said is not None and "bench.armature at its bound of [1, 1000] kg" in said
-    assert doubt_reference([row | {"at_bound": False}]) is None
+    assert said is not None and "bench.armature at its bound of [1, 2] kg" in said
+    row.at_bound = False
+    assert doubt_reference([row]) is None
 
 
 def test_a_law_that_explains_next_to_nothing_is_told() -> None:
-    metrics = {"test": {"position_mae": 0.09}, "baseline": {"position_mae": 0.1}}
-    (finding,) = doubt_errors({"model": "stribeck", "metrics": metrics})
-    assert "is 90 % of the error without friction" in finding["text"]
-    assert not [*doubt_errors({"model": "baseline", "metrics": metrics})]
-    assert not [*doubt_errors({"model": "stribeck", "metrics": metrics | {"test": {"position_mae": 0.05}}})]
+    result = errors(make_run(0, "stribeck").result, 0.09)
+    (finding,) = doubt_errors(result)
+    assert "is 90 % of the error without friction" in finding.text
+    assert not [*doubt_errors(errors(make_run(0, "baseline").result, 0.09))]
+    assert not [*doubt_errors(errors(result, 0.05))]

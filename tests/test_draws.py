@@ -11,7 +11,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 import scipy.stats
-from conftest import check_each, trace_nothing
+from conftest import changed, check_each, trace_nothing
 from hypothesis import given, settings
 
 import frictionzoo as fz
@@ -71,7 +71,7 @@ def test_nothing_is_drawn_without_intervals(finished_run: Callable[[str], Any]) 
     with pytest.raises(ConfigError, match="count=0: expected 1 or more"):
         drive.sample(0)
     drive = copy.copy(drive)
-    object.__setattr__(drive, "result", {**drive.result, "covariance": None, "no_intervals": "nothing was identified"})
+    object.__setattr__(drive, "result", changed(drive.result, covariance=None, no_intervals="nothing was identified"))
     with pytest.raises(RunError, match="nothing was identified, expected intervals to draw from"):
         drive.sample(10)
 
@@ -88,7 +88,7 @@ def test_a_band_holds_what_training_rollouts_were_off_by(finished_run: Callable[
     assert low.shape == high.shape == (len(simulated), kept.shape[1], 1)
     # Without draws, the band is the quantiles of the errors around the fitted drive, wider by Student's.
     wider = scipy.stats.t.ppf(0.975, 49) / scipy.stats.norm.ppf(0.975) * np.sqrt(1 + 1 / 50)
-    alone = dataclasses.replace(drive, result={**drive.result, "covariance": None}).band()
+    alone = dataclasses.replace(drive, result=changed(drive.result, covariance=None)).band()
     expected = np.quantile(wider * errors, 0.025, axis=0)[None] + 0 * low
     np.testing.assert_allclose(simulated[:, : kept.shape[1]] - alone.high, expected, rtol=1e-9)
     assert (high - low).mean() > (alone.high - alone.low).mean()

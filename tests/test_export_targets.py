@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from conftest import slow_but, trace_nothing
+from conftest import make_run, slow_but, trace_nothing
 from omegaconf import OmegaConf
 from test_levels import imports
 
@@ -126,7 +126,8 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     if bench.nv > 1:
         differing = {"armature": np.array([0.02, 0.05]), "delay": np.array([0.0034, 0.0012])}
         values["bench"] |= {name: value for name, value in differing.items() if name in values["bench"]}
-    result = {"settings": compose(*overrides), "model": law.name, "metrics": {"test": {"position_mae": 0.01}}}
+    result = make_run(0, law.name, bench.nv).result
+    result.settings, result.metrics.test.position_mae, result.parameters = compose(*overrides), 0.01, []
     sampling = bench.sampling(interval)
     return Identified(Path("run"), result, bench, law, {}, values, segments, sampling, trace_nothing(segments))
 

@@ -1,23 +1,22 @@
 """`report.html`: its answers, hostile names, nothing from elsewhere, and how a real browser shows it."""
 
 import base64
-import copy
 import gzip
 import json
 import re
 from dataclasses import replace
-from functools import reduce
 from html.parser import HTMLParser
-from operator import getitem
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 from browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
+from conftest import changed, put
 from plotly.offline import get_plotlyjs_version
-from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
+from test_report import bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
 from frictionzoo.core.anonymous import without_paths
+from frictionzoo.core.output import to_json
 from frictionzoo.core.telling import say_percent
 from frictionzoo.identification.solve import still_falling
 from frictionzoo.report import with_plotly
@@ -33,7 +32,7 @@ HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 
 @pytest.fixture
 def record(result):  # noqa: F811
-    return copy.deepcopy(result) | {"fit": FIT | {"stopped": "finished", "moving": []}}
+    return changed(result, fit={"stopped": "finished", "moving": []})
 
 
 class Page(HTMLParser):
@@ -80,7 +79,7 @@ def test_the_page_answers_the_three_questions(record, tmp_path):
         assert f"{record['metrics'][part]['position_mae']:.4g}" in page.text
     test, baseline = (record["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     assert f"−{round(100 * (1 - test / baseline))} %" in page.text
-    assert all(version in page.text for version in record["versions"].values())
+    assert all(version in page.text for version in to_json(record.versions).values())
     assert "6.50 s" in page.text
     links = [attributes["href"] for tag, attributes in page.elements if tag == "a"]
     files = [link for link in links if not link.startswith("#")]
@@ -97,7 +96,7 @@ def test_links_at_the_top_lead_to_sections(record, tmp_path, joints):
 
 
 def test_the_page_opens_with_what_to_do(record, tmp_path):
-    record["verdict"] = record["verdict"] | {"commands": [{"kind": "law", "command": "frictionzoo model=stribeck"}]}
+    put(record, "verdict.commands", [{"kind": "law", "command": "frictionzoo model=stribeck"}])
     text = Page(report(tmp_path / "report.html", record)).text
     change = format_change(*(record["metrics"][part]["position_mae"] for part in ("test", "baseline")))
     asked = (change, "Verdict: ", "How to use", "fz.load(", "Next steps", "model=stribeck", "Best")
@@ -107,12 +106,11 @@ def test_the_page_opens_with_what_to_do(record, tmp_path):
 
 def test_no_absolute_path_is_on_the_page(record, tmp_path):
     home = "/home/somebody/logs"
-    record["verdict"] = record["verdict"] | {
-        "commands": [{"kind": "law", "command": f"frictionzoo data.train=[{home}/a.csv,{home}/b.csv]"}]
-    }
-    record["warnings"] = [f"{home}/a.csv: 3 samples are missing"]
-    record["notes"] = [f"read from {home}/robot.xml; N m/rad, 1/2, and/or"]
-    record["data"]["logs"][0]["name"] = f"{home}/a.csv"
+    command = f"frictionzoo data.train=[{home}/a.csv,{home}/b.csv]"
+    put(record, "verdict.commands", [{"kind": "law", "command": command}])
+    record.warnings = [f"{home}/a.csv: 3 samples are missing"]
+    record.notes = [f"read from {home}/robot.xml; N m/rad, 1/2, and/or"]
+    record.data.logs[0].name = f"{home}/a.csv"
     page = Page(report(tmp_path / "report.html", record))
     shown = page.text + json.dumps(page.elements)
     assert "somebody" not in shown and str(tmp_path) not in shown
@@ -141,7 +139,7 @@ def test_a_share_is_no_power_of_ten(share, said):
 def test_many_recordings_are_folded(record, tmp_path):
     (log,) = record["data"]["logs"][:1]
     for count, folded in ((12, False), (13, True)):
-        record["data"]["logs"] = [log | {"name": f"{i}.csv"} for i in range(count)]
+        record.data.logs = [changed(log, name=f"{i}.csv") for i in range(count)]
         text = Page(report(tmp_path / "report.html", record)).text
         assert ("13 recordings: 13 in " in text) is folded and "11.csv" in text
 
@@ -231,26 +229,28 @@ def test_friction_and_what_is_left_are_drawn(record, tmp_path):
 
 
 def test_where_a_value_began_and_how_values_go_together(record, tmp_path):
-    record["covariance"] = {
+    covariance = {
         "labels": ["bench.armature", "friction.static_torque"],
         **{"scale": ["log", "log"], "centre": [0.0, 0.0], "matrix": [[4.0, -3.0], [-3.0, 9.0]], "freedom": 10.0},
     }
+    put(record, "covariance", covariance)
     page = Page(report(tmp_path / "report.html", record))
     assert "initial value 0.1 " in page.text and "1.00 -0.50" in page.text
-    assert correlate(record | {"covariance": None}, "knee") is None
+    assert correlate(changed(record, covariance=None), "knee") is None
     several = of_joints(record, "hip", "knee")
-    several["covariance"] = record["covariance"] | {"labels": ["bench.armature/knee", "friction.static_torque/knee"]}
+    several.covariance.labels = ["bench.armature/knee", "friction.static_torque/knee"]
     found = correlate(several, "knee")
     assert found and found["names"] == ["armature", "static_torque"] and found["rows"][0][1] == -0.5
     assert found["strongest"] == ""
-    several["covariance"] |= {"matrix": [[4.0, -5.4], [-5.4, 9.0]]}
+    several.covariance.matrix = [[4.0, -5.4], [-5.4, 9.0]]
     assert (close := correlate(several, "knee")) and close["strongest"] == "armature and static_torque (-0.90)"
     assert correlate(several, "hip") is None
 
 
 def test_intervals_stand_beside_the_values(record, tmp_path):
-    record["parameters"][0]["by_joint"][0] |= {"identifiable": False}
-    record["parameters"][3]["by_joint"][0] |= {"interval": [0.25, 0.35], "identifiable": True}
+    put(record, "parameters.0.by_joint.0.identifiable", False)
+    put(record, "parameters.3.by_joint.0.identifiable", True)
+    put(record, "parameters.3.by_joint.0.interval", [0.25, 0.35])
     page = Page(report(tmp_path / "report.html", record))
     assert page.text.count("0.25 to 0.35") == page.text.count("not identifiable from these data") == 1
     assert "Least certain of the identifiable values: friction.static_torque, ± 17 %." in page.text
@@ -299,14 +299,13 @@ def test_long_curves_keep_their_extremes_and_lose_the_rest(record, tmp_path):
 
 
 def test_hostile_names_stay_text(record, tmp_path):
-    record["model"] = record["data"]["name"] = record["data"]["logs"][0]["name"] = HOSTILE
-    record["parameters"][0]["name"] = HOSTILE
-    record["notes"] = [HOSTILE]
+    record.model = record.data.name = record.data.logs[0].name = record.parameters[0].name = HOSTILE
+    record.notes = [HOSTILE]
     curves = {f"bench.{HOSTILE}": np.ones((3, 2))}
     source = report(tmp_path / "report.html", record, joints=(HOSTILE, "<b>other</b>"), **curves)
     page, plain = (
         Page(source),
-        Page(report(tmp_path / "plain.html", record | {"model": "plain"}, joints=("a", "b"), **curves)),
+        Page(report(tmp_path / "plain.html", changed(record, model="plain"), joints=("a", "b"), **curves)),
     )
     assert not page.with_attribute("onerror")
     assert [tag for tag, _ in page.elements].count("script") == [tag for tag, _ in plain.elements].count("script") == 3
@@ -397,15 +396,14 @@ def test_no_doubts_about_a_good_run(record):
 )
 def test_a_reason_for_trust_or_doubt_is_said(record, change, title, state, text):
     for path, value in change.items():
-        *sections, key = [int(name) if name.isdigit() else name for name in path.split(".")]
-        reduce(getitem, sections, record)[key] = value
+        put(record, path, value)
     check = checks_of(record)[title]
     assert check.state == state and text in check.text
 
 
 @pytest.mark.parametrize(("last", "state"), [(0.9, "caution"), (0.999, "good")])
 def test_a_loss_that_still_falls_is_said(record, last, state):
-    record["fit"] |= {"iterations": 20, "falling": still_falling(np.array([2.0] + [1.0] * 18 + [last]))}
+    record.fit.iterations, record.fit.falling = 20, still_falling(np.array([2.0] + [1.0] * 18 + [last]))
     assert checks_of(record)["Fit"].state == state
 
 
@@ -424,9 +422,9 @@ def test_a_diverged_rollout_is_drawn_as_far_as_it_goes(record, tmp_path, spoilt,
 
 
 def test_a_run_without_any_finite_error_has_a_page(record, tmp_path):
-    lost = {"position_mae": None, "position_mae_std": None, "position_rmse": None, "velocity_rmse": None}
-    for metrics in (record["metrics"]["test"], record["by_horizon"][0]["test"]):
-        metrics |= lost | {"diverged": metrics["rollouts"]}
+    for metrics in (record.metrics.test, record.by_horizon[0].test):
+        metrics.position_mae = metrics.position_mae_std = metrics.position_rmse = metrics.velocity_rmse = None
+        metrics.diverged = metrics.rollouts
     assert "diverged: there is no error to report" in Page(report(tmp_path / "report.html", record)).text
 
 
@@ -448,10 +446,10 @@ def test_a_browser_draws_every_figure_in_the_colours_that_are_preferred(record, 
 @pytest.mark.parametrize("joints", [("knee",), ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint")], ids=len)
 def test_a_phone_shows_the_page_without_scrolling_sideways(record, tmp_path, joints):
     name = "report-of-a-recording-with-a-very-long-name-that-cannot-be-broken-anywhere"
-    record["data"]["name"] = record["data"]["logs"][0]["name"] = name
-    for parameter in record["parameters"]:  # what a table of a law with long names must not hide at its right edge
-        parameter["name"] = f"{parameter['name']}_of_the_external_load"
-        parameter["by_joint"][0] |= {"identifiable": False, "interval": [0.0123456, 0.0234567]}
+    record.data.name = record.data.logs[0].name = name
+    for parameter in record.parameters:  # what a table of a law with long names must not hide at its right edge
+        parameter.name = f"{parameter.name}_of_the_external_load"
+        parameter.by_joint[0].identifiable, parameter.by_joint[0].interval = False, [0.0123456, 0.0234567]
     report(tmp_path / "report.html", record, joints=joints)
     browser = open_page(tmp_path / "report.html", width=390)
     inner, page, *drawings = browser.run(WIDTHS)

@@ -65,15 +65,15 @@ def test_table_holds_the_numbers(comparison):
 
 
 def test_best_recommended_and_equal_are_marked(comparison):
-    comparison["recommendation"] |= {"run": "smooth", "best": "stribeck"}
+    comparison.recommendation.run, comparison.recommendation.best = "smooth", "stribeck"
     pair = next(pair for pair in comparison["pairs"] if (pair["run"], pair["other"]) == ("smooth", "stribeck"))
-    pair["verdict"] = "noise"
+    pair.verdict = "noise"
     rows = rows_of(tabulate_latex(comparison))
     assert [r"\textbf" in row for row in rows] == [True, False, False]
     assert [r"\dagger" in row for row in rows] == [False, True, False]
     assert [r"\ast" in row for row in rows] == [False, True, False]
-    pair["verdict"] = "worse"
-    comparison["recommendation"]["run"] = "stribeck"
+    pair.verdict = "worse"
+    comparison.recommendation.run = "stribeck"
     rows = rows_of(tabulate_latex(comparison))
     assert [r"\dagger" in row for row in rows] == [False, False, False]
     assert [r"\ast" in row for row in rows] == [True, False, False]
@@ -105,7 +105,7 @@ def test_where_all_diverged_nothing_is_best(make_runs):
 def test_users_texts_are_only_text(make_runs):
     runs = make_runs(("[*first", HOSTILE, "baseline"))
     comparison = compare_runs(runs, [Failure(HOSTILE, HOSTILE, f"two\nlines {HOSTILE}")])
-    comparison["data"]["name"] = HOSTILE
+    comparison.data.name = HOSTILE
     table = tabulate_latex(comparison)
     judge_structure(table)
     assert r"\input" not in table
@@ -132,7 +132,7 @@ def test_escape(text, expected):
 
 
 def test_a_huge_error_is_a_power_of_ten(comparison):
-    comparison["runs"][-1]["test"]["position_mae"] = 2.5e30
+    comparison.runs[-1].test.position_mae = 2.5e30
     table = tabulate_latex(comparison)
     judge_structure(table)
     assert r"$2.50\times10^{33}$" in rows_of(table)[-1]

@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import msgspec
 import mujoco
 import numpy as np
 import pytest
 import torch
 import yaml
-from conftest import slow_but, trace_nothing
+from conftest import make_run, slow_but, trace_nothing
 from fitted import FREE
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -32,6 +33,7 @@ from frictionzoo.bench import Robot, VoltageServo
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.manifest import MANIFEST
+from frictionzoo.core.output import to_json
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.core.templates import Code, write_literal, write_yaml
@@ -45,6 +47,7 @@ from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models import Dahl, MujocoDefault
 from frictionzoo.report.card import write_card
 from frictionzoo.result.fitted_drive import FittedDrive
+from frictionzoo.result.types import Parameter, Result
 from frictionzoo.result.values import list_values
 
 PLAIN = ("plain_one", "plain_two")
@@ -131,17 +134,21 @@ def make_drive(path: Path, names: Sequence[str], law: Any = MujocoDefault) -> Id
     owned = [("bench", param) for param in bench.params.values()]
     owned += [("friction", param) for param in model.params.values()]
     rows = [_describe(bench, owner, param, values[owner][param.name]) for owner, param in owned]
-    result: Any = {"settings": {}, "model": model.name, "data": {"name": names[0]}, "parameters": rows}
-    result |= {"no_intervals": None, "metrics": {"test": {"position_mae": None}}}
+    result = make_run(0, model.name, 2).result
+    result.settings, result.data.name, result.parameters = {}, names[0], rows
+    result.no_intervals = result.metrics.test.position_mae = None
     known = bench.sampling(bench.timestep), trace_nothing(segments)
     return Still(None, result, bench, model, {}, values, segments, *known)
 
 
-def _describe(bench: Any, owner: str, param: Any, value: Any) -> dict[str, Any]:
-    row = {"name": param.name, "owner": owner, "unit": "1", "interval": None, "identified": False}
+def _describe(bench: Any, owner: Any, param: Any, value: Any) -> Parameter:
+    about: Any = {"low": 0.0, "high": 1.0, "identified": False, "at_bound": False}
+    unknown: Any = {"interval": None, "identifiable": None}
     by_joint = list_values(bench, param, f"{owner}.{param.name}", value, Uncertainty())
-    row["by_joint"] = [{**each, "identified": False} for each in by_joint]
-    return row | {"value": param.spread(np.asarray(value, float), 2).tolist(), "identifiable": None}
+    for row in by_joint:
+        row.identified = False
+    values = param.spread(np.asarray(value, float), 2).tolist()
+    return Parameter(param.name, owner, values, "1", by_joint=by_joint, **about, **unknown)
 
 
 def write(target: str, folder: Path, names: Sequence[str]) -> Path:
@@ -382,10 +389,11 @@ def rename_knee(drive: Identified, path: Path, name: str) -> Identified:
     for joint in root.iter("joint"):
         joint.set("name", name)
     path.write_bytes(ET.tostring(root))
-    settings = drive.result["settings"]
+    settings = drive.result.settings
     section = {**settings["bench"], "mjcf": str(path), "joint": name}
-    result = json.loads(json.dumps(drive.result).replace('"knee"', json.dumps(name)))
-    return replace(drive, bench=build(section), result=result | {"settings": {**settings, "bench": section}})
+    content = json.loads(json.dumps(to_json(drive.result)).replace('"knee"', json.dumps(name)))
+    result = msgspec.convert(content | {"settings": {**settings, "bench": section}}, Result)
+    return replace(drive, bench=build(section), result=result)
 
 
 CARDS = ["/leg/knee", "a|b`c <i>\n## x"]

@@ -1,5 +1,6 @@
 """Drives for domain randomisation: samples, MJCF files and events hold what the run allows, and no more."""
 
+import copy
 import json
 import os
 import re
@@ -15,7 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from conftest import Finished
+from conftest import Finished, changed
 from robot_texts import LEG, save
 from test_export_robot import fit as fit_robot
 
@@ -47,13 +48,12 @@ def drive(finished_run: Callable[[str], tuple[Path, Finished]]) -> Identified:
 
 def declare(drive: Identified, identifiable: bool, *names: str) -> Identified:
     """The same drive, of which data determine some parameters, or all, or do not."""
-    rows = []
-    for row in drive.result["parameters"]:
-        if row["identified"] and (not names or f"{row['owner']}.{row['name']}" in names):
-            entries = [{**entry, "identifiable": identifiable} for entry in row["by_joint"]]
-            row = {**row, "identifiable": identifiable, "by_joint": entries}
-        rows.append(row)
-    return replace(drive, result={**drive.result, "parameters": rows})
+    result = copy.deepcopy(drive.result)
+    for row in result.parameters:
+        if row.identified and (not names or f"{row.owner}.{row.name}" in names):
+            for entry in (row, *row.by_joint):
+                entry.identifiable = identifiable
+    return replace(drive, result=result)
 
 
 @pytest.fixture(scope="module")
@@ -154,16 +154,16 @@ def test_what_cannot_be_drawn_is_refused_in_a_line(drive: Identified, option: st
 
 def test_a_drive_without_intervals_or_parameters_is_refused(drive: Identified) -> None:
     bare = declare(drive, False)
-    bare = replace(bare, result={**bare.result, "no_intervals": "there is one segment only", "covariance": None})
+    bare = replace(bare, result=changed(bare.result, no_intervals="there is one segment only", covariance=None))
     with pytest.raises(FrictionzooError, match="there is one segment only"):
         draw_variants(bare, COUNT, 0, {})
     stated = {name: Range(0.9, 1.1) for name, p in drive.parameters.items() if p.identified}
     assert len(draw_variants(bare, COUNT, 0, stated)) == len(stated)
-    known = [
-        {**row, "by_joint": [{**e, "identified": False} for e in row["by_joint"]]} for row in bare.result["parameters"]
-    ]
+    known = copy.deepcopy(bare.result)
+    for entry in (entry for row in known.parameters for entry in row.by_joint):
+        entry.identified = False
     with pytest.raises(FrictionzooError, match="nothing was identified"):
-        draw_variants(replace(bare, result={**bare.result, "parameters": known}), COUNT, 0, {})
+        draw_variants(replace(bare, result=known), COUNT, 0, {})
 
 
 def test_the_command_takes_ranges(
@@ -261,8 +261,8 @@ def load_events(program: Any, folder: Path, operation: str, modules: dict[str, M
     """The file of the drive of two joints, imported where the program is these modules."""
     found = quantities()
     np.savez(folder / "samples.npz", **{one.name: one.values for one in found})  # pyright: ignore[reportArgumentType]
-    result: Any = {"data": {"name": "bars"}}
-    fitted = replace(fit_robot(save(folder, LEG), [*JOINTS]), folder=Path("run 7"), result=result)
+    fitted = fit_robot(save(folder, LEG), [*JOINTS])
+    fitted = replace(fitted, folder=Path("run 7"), result=changed(fitted.result, data={"name": "bars"}))
     text = write_events(program, fitted, found, {"knee": (2, 4)}, operation)
     (folder / program.file).write_text(text)
     with pytest.MonkeyPatch.context() as patch:

@@ -19,6 +19,8 @@ from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.identification.commands import complete_options
 from frictionzoo.report.run_page import list_uses
 from frictionzoo.report.terminal import summarise
+from frictionzoo.result.record import read_run
+from frictionzoo.result.section_types import Command
 from frictionzoo.result.verdict import DO_NOT_USE, is_usable, judge
 
 KP, KD = 20 * 0.151, 0.151  # N m/rad, N m s/rad
@@ -97,16 +99,18 @@ def test_the_first_command_is_the_repair_and_runs(call: Callable[..., Finished],
 @pytest.mark.parametrize("repair", [False, True])
 def test_what_is_not_to_be_used_goes_neither_to_hardware_nor_elsewhere(finished_run: Run, repair: bool) -> None:
     """And a run with a repair designs no recording."""
-    usable: Any = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
-    rows: Any = [{"kind": kind, "command": command} for kind, command in COMMANDS.items() if repair or kind != "repair"]
-    kept = judge(usable | {"not_identified": None}, rows)
-    assert kept["grade"] != DO_NOT_USE
+    usable = read_run(finished_run("mujoco_default")[0])[0]
+    rows = [Command(kind, text) for kind, text in COMMANDS.items() if repair or kind != "repair"]  # pyright: ignore
+    usable.not_identified = None
+    kept = judge(usable, rows)
+    assert kept.grade != DO_NOT_USE
     if repair:
-        assert [row["kind"] for row in kept["commands"]] == ["repair", "law", "export"]
-    spoilt: Any = usable | {"not_identified": ["friction ended at its bounds", "gains"]}
-    spoilt["verdict"] = judge(spoilt, rows)
-    assert spoilt["verdict"]["grade"] == DO_NOT_USE and not is_usable(spoilt)
-    assert [row["kind"] for row in spoilt["verdict"]["commands"]] == [*["repair"] * repair, "inspect"]
+        assert [row.kind for row in kept.commands] == ["repair", "law", "export"]
+    spoilt = usable
+    spoilt.not_identified = ["friction ended at its bounds", "gains"]
+    spoilt.verdict = judge(spoilt, rows)
+    assert spoilt.verdict.grade == DO_NOT_USE and not is_usable(spoilt)
+    assert [row.kind for row in spoilt.verdict.commands] == [*["repair"] * repair, "inspect"]
     for shown in (summarise(spoilt, None), "\n".join(list_uses("a", is_usable(spoilt)))):
         assert not any(word in shown for word in HARDWARE)
     assert any("frictionzoo.export" in line for line in list_uses("a"))

@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 from browser import needs_browser, open_page, read_data
-from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
+from conftest import changed
+from test_report import bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
 from frictionzoo.bench import Bench, PositionPD, Robot
 from frictionzoo.core.log import Payload
@@ -68,7 +69,7 @@ def values_of(own, **values):
 def show(tmp_path, result, own, values, rollout):  # noqa: F811
     """The page of a run with this replay, in a browser."""
     courses = {name: np.ones((3, own.nv)) for name in ("bench.armature", "friction.static_torque")}
-    finished = result | {"fit": FIT | {"stopped": "finished", "moving": []}}
+    finished = changed(result, fit={"stopped": "finished", "moving": []})
     curves = curves_of(rollout, **courses)
     recorded = record_replay(own, values, curves, 0.001)
     write_report(tmp_path / "report.html", of_joints(finished, *own.joints), curves, recorded)

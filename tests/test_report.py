@@ -2,7 +2,6 @@
 
 import contextlib
 import copy
-import json
 import operator
 import resource
 from dataclasses import replace
@@ -12,14 +11,18 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from conftest import changed
 from matplotlib import colors
 from matplotlib.image import imread
+from msgspec.structs import replace as replace_fields
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.core.errors import OutputError
+from frictionzoo.core.errors import OutputError, RunError
+from frictionzoo.core.jobs import parse_record, read_record
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.manifest import MANIFEST
-from frictionzoo.core.output import write_atomically, write_json
+from frictionzoo.core.output import to_json, write_atomically, write_json
+from frictionzoo.core.records import Proof
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit.uncertainty import Uncertainty
@@ -31,17 +34,17 @@ from frictionzoo.report.terminal import summarise
 from frictionzoo.report.with_matplotlib import draw
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Prediction
-from frictionzoo.result.record import Findings, build_result, read_schema
-from frictionzoo.simulation.proof import Proof
+from frictionzoo.result.record import build_result, read_schema
+from frictionzoo.result.section_types import FitRecord, Timing
+from frictionzoo.result.types import EvaluationRollouts, Parameter, Result, Value
 
 TIMESTEP = 0.001
-FIT = {
-    **{"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6},
-    **{"stopped": "all iterations made", "falling": 0.0, "moving": []},
-}
+FIT = FitRecord(
+    "adam", iterations=3, best_iteration=2, loss=1e-6, stopped="all iterations made", falling=0.0, moving=[]
+)
 SETTINGS = {"seed": 0, "dtype": "float64", "segments": {"count": 20, "length": 5}}
 PROOF = Proof(step=1e-16, rollout=1e-15, cases=32, steps=8)
-TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "uncertainty": 0.25, "evaluate": 0.25, "total": 6.5}
+TIMING = Timing(setup=1.0, compile=2.0, fit=3.0, uncertainty=0.25, evaluate=0.25, total=6.5)
 PARAMS = {
     "static_torque": {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
     "kinetic_torque": {"init": 0.2, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
@@ -120,11 +123,11 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "device": "cpu",
         "uncertainty": Uncertainty(),
         "reference": bench.initial_values(),
-        "torque": None,
-        "links": None,
+        "evaluation": EvaluationRollouts(evaluation.sha256, evaluation.window),
+        "recipe": [],
+        **dict.fromkeys(("torque", "residual", "links")),
     }
-    shared = {"bench": bench, "model": model, "dataset": dataset, "evaluation": evaluation}
-    return build_result(Findings(name=model.name, **shared, **(options | changes)))
+    return build_result(model_name=model.name, bench=bench, model=model, dataset=dataset, **(options | changes))
 
 
 @pytest.fixture
@@ -133,7 +136,7 @@ def result(bench, model, dataset, evaluation):
 
 
 def validate(result):
-    jsonschema.Draft202012Validator(read_schema()).validate(result)
+    jsonschema.Draft202012Validator(read_schema()).validate(to_json(result))
 
 
 def test_schema_is_one_and_describes_every_field():
@@ -152,7 +155,7 @@ def test_schema_is_one_and_describes_every_field():
 def test_result_is_valid(result, tmp_path):
     validate(result)
     write_json(tmp_path / "result.json", result)
-    assert json.loads((tmp_path / "result.json").read_text()) == result
+    assert read_record(tmp_path / "result.json", Result) == result
 
 
 def test_result_says_what_was_done(result, bench):
@@ -163,25 +166,12 @@ def test_result_says_what_was_done(result, bench):
     assert [(log["part"], log["samples"]) for log in result["data"]["logs"]] == [("train", 400), ("test", 400)]
     assert [log["sha256"] for log in result["data"]["logs"]] == [64 * "a", 64 * "b"]
     assert result["data"]["sha256"] not in (64 * "a", 64 * "b")
-    parameters = {(parameter["owner"], parameter["name"]): parameter for parameter in result["parameters"]}
-    assert parameters["friction", "static_torque"] == {
-        "name": "static_torque",
-        "owner": "friction",
-        "value": 0.3,
-        "unit": "N m",
-        "low": 1e-3,
-        "high": 1.0,
-        "identified": True,
-        "at_bound": False,
-        "interval": None,
-        "identifiable": None,
-        "by_joint": [
-            {
-                **{"name": bench.joints[0], "joints": list(bench.joints), "value": 0.3, "low": 1e-3, "high": 1.0},
-                **{"identified": True, "at_bound": False, "interval": None, "identifiable": None},
-            }
-        ],
-    }
+    parameters = {(parameter.owner, parameter.name): parameter for parameter in result.parameters}
+    about = {"value": 0.3, "low": 1e-3, "high": 1.0, "identified": True, "at_bound": False}
+    unknown = {"interval": None, "identifiable": None}
+    joint = Value(bench.joints[0], list(bench.joints), **about, **unknown)
+    expected = Parameter(name="static_torque", owner="friction", unit="N m", **about, by_joint=[joint], **unknown)
+    assert parameters["friction", "static_torque"] == expected
     assert parameters["bench", "armature"]["unit"] == "kg m^2"
     assert result["network"] is None
     assert result["fit"] == FIT
@@ -231,12 +221,14 @@ def test_at_bound(bench, model, dataset, evaluation, value, expected):
 def test_network_counts_its_weights(bench, dataset, evaluation):
     result = build(bench, NeuralFriction(1, hidden=[64, 64], seed=0), dataset, evaluation, {})
     validate(result)
-    assert result["network"] == {"weights": 4 * 64 + 64 + 64 * 64 + 64 + 64 + 1}
+    assert result.network.weights == 4 * 64 + 64 + 64 * 64 + 64 + 64 + 1
     assert "4545" in summarise(result, Path("run"))
 
 
 def test_divergence_is_null(bench, model, dataset, evaluation):
-    result = build(bench, model, dataset, evaluation, VALUES, offset=np.nan, fit=FIT | {"loss": np.float64(np.nan)})
+    result = build(
+        bench, model, dataset, evaluation, VALUES, offset=np.nan, fit=replace_fields(FIT, loss=np.float64(np.nan))
+    )
     validate(result)
     assert result["metrics"]["test"]["position_mae"] is None
     assert result["metrics"]["test"]["diverged"] == 4
@@ -275,7 +267,7 @@ def breakages():
 
 @pytest.mark.parametrize(("path", "value"), breakages(), ids=[".".join(map(str, path)) for path, _ in breakages()])
 def test_schema_rejects(result, path, value):
-    broken = copy.deepcopy(result)
+    broken = to_json(result)
     section = reduce(operator.getitem, path[:-1], broken)
     if value is ...:
         del section[path[-1]]
@@ -283,6 +275,9 @@ def test_schema_rejects(result, path, value):
         section[path[-1]] = value
     with pytest.raises(jsonschema.ValidationError):
         validate(broken)
+    with pytest.raises(RunError) as caught:
+        parse_record(Path("result.json"), Result, broken)
+    assert "\n" not in str(caught.value)
 
 
 @contextlib.contextmanager
@@ -408,12 +403,13 @@ def curves_of(rollout, **values):
 
 def of_joints(result, *joints):
     """The same of joints of these names, all with the values and the errors of its one."""
-    several = copy.deepcopy(result) | {"joints": list(joints)}
-    for parameter in (*several["parameters"], *several["reference"]):
-        (row,) = parameter["by_joint"]
-        parameter["by_joint"] = [row | {"name": name, "joints": [name]} for name in joints]
-        parameter["value"] = [row["value"]] * len(joints) if len(joints) > 1 else row["value"]
-    several["by_joint"] = [{**copy.deepcopy(result["by_joint"][0]), "joint": name} for name in joints]
+    several = copy.deepcopy(result)
+    several.joints = list(joints)
+    for parameter in (*several.parameters, *several.reference):
+        (row,) = parameter.by_joint
+        parameter.by_joint = [replace_fields(row, name=name, joints=[name]) for name in joints]
+        parameter.value = [row.value] * len(joints) if len(joints) > 1 else row.value
+    several.by_joint = [replace_fields(result.by_joint[0], joint=name) for name in joints]
     return several
 
 
@@ -473,15 +469,14 @@ def test_figure4_draws_the_rollouts(result):
 
 
 def test_figure4_has_a_column_a_joint(result):
-    slide = of_joints(result, "x", "y")
-    slide["metrics"]["test"] |= {"unit": "m", "velocity_unit": "m/s"}
+    slide = changed(of_joints(result, "x", "y"), metrics={"test": {"unit": "m", "velocity_unit": "m/s"}})
     figure = draw_rollout(slide, curves_of(make_rollout(nv=2)))
     assert [axes.get_title("left") for axes in figure.get_axes()] == ["Trajectory of x", "Trajectory of y", "", ""]
     assert figure.get_axes()[3].get_ylabel() == "velocity [m/s]"
 
 
 def draw_error(result, rollout, window):
-    record = result | {"evaluation": {"window": window}}
+    record = changed(result, evaluation={"window": window})
     return draw(Sheet("title", plot_run(record, curves_of(rollout))["error"], 3.0))
 
 
@@ -530,8 +525,7 @@ def test_figures_are_written(result, tmp_path):
 
 
 def test_known_values_have_no_course_to_draw(result, tmp_path):
-    record = copy.deepcopy(result)
-    record["fit"]["best_iteration"] = 1
+    record = changed(result, fit={"best_iteration": 1})
     curves = curves_of(make_rollout())
     write_figures(tmp_path, record, replace(curves, history={k: v[:1] for k, v in curves.history.items()}))
     assert sorted(path.name for path in tmp_path.iterdir()) == [MANIFEST, "figure4_trajectory.png", "figure5_error.png"]

@@ -21,7 +21,7 @@ from frictionzoo.fit.known import Known
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.models.registry import get_model
-from frictionzoo.result.section_types import TorqueRow
+from frictionzoo.result.section_types import Torque
 from frictionzoo.result.torque import choose_filtering, measure_torque
 
 WRONG = np.array([0.0, 0.3, 0.0, 0.0, 0.5])
@@ -62,7 +62,7 @@ def measure(bench: Bench, law: FrictionModel, train: list[Log], test: list[Log],
     return measure_torque(Recordings(bench, law, logs), len(train), space, start, how)
 
 
-def residuals(found: TorqueRow, part: Any) -> np.ndarray:
+def residuals(found: Torque, part: Any) -> np.ndarray:
     return np.array([row[part]["residual"] for row in found["by_joint"]])
 
 

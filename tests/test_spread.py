@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import changed
 
 import frictionzoo as fz
 from frictionzoo.core.errors import RunError
@@ -44,7 +45,7 @@ def test_fits_are_told_apart_by_their_units(finished_run: Callable[[str], Any]) 
 
     def moved(by: float) -> fz.Identified:
         centre = [at + by for at in row["centre"]]
-        return dataclasses.replace(drive, result={**drive.result, "covariance": {**row, "centre": centre}})
+        return dataclasses.replace(drive, result=changed(drive.result, covariance={"centre": centre}))
 
     sure = [name for name, parameter in drive.parameters.items() if parameter.identifiable]
     found = fz.spread({"a": [moved(0.0), moved(4.0)], "b": [moved(20.0), moved(24.0)]})
@@ -57,6 +58,6 @@ def test_fits_are_told_apart_by_their_units(finished_run: Callable[[str], Any]) 
         assert spread.unit == pytest.approx(middle * np.sqrt(200.0 - 8.0 / 2), rel=1e-6)
     with pytest.raises(RunError, match="fits: 1, expected at least two"):
         fz.spread([drive])
-    nothing = dataclasses.replace(drive, result={**drive.result, "covariance": None, "no_intervals": "of a network"})
+    nothing = dataclasses.replace(drive, result=changed(drive.result, covariance=None, no_intervals="of a network"))
     with pytest.raises(RunError, match="of a network, expected intervals"):
         fz.spread([drive, nothing])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from conftest import RUNS
+from conftest import RUNS, changed, make_run
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
@@ -23,7 +23,7 @@ from frictionzoo.cli.sweep import _complaint, conclude_sweep, run_in_sweep
 from frictionzoo.core.config import CONF_DIR, prepare_hydra
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.manifest import MANIFEST, Manifest
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.core.threads import count_cores, limit_threads
 from frictionzoo.result.verdict import DO_NOT_USE
 
@@ -31,7 +31,7 @@ ROOT = Path(__file__).parent.parent
 SWEEP = ("-m", "hydra.sweep.dir=sweep")
 pytestmark = pytest.mark.usefixtures("in_haste")
 LAUNCHERS = ("joblib", "submitit_local", "ray")
-DONE = {"metrics": {"train": {"position_mae": 0.25, "diverged": 0}}}
+DONE = changed(make_run(0, "baseline").result, metrics={"train": {"position_mae": 0.25, "diverged": 0}})
 
 
 def complaints(err: str) -> list[str]:
@@ -183,9 +183,8 @@ def test_a_stopped_sweep_goes_on_with_what_is_missing(
     [({}, False), ({"settings": {"seed": 1}}, True), ({"versions": {"frictionzoo": "0.0.0"}}, True), (None, True)],
 )
 def test_a_finished_job_is_not_repeated(tmp_path: Path, changes: dict | None, repeated: bool) -> None:
-    result = DONE | {"settings": {"seed": 0, "bounds": [0.1, None]}, "fit": {"stopped": "finished"}}
-    result |= {"versions": {"frictionzoo": __version__}}
-    whole = json.dumps(result | (changes or {}))
+    result = changed(DONE, settings={"seed": 0, "bounds": [0.1, None]}, versions={"frictionzoo": __version__})
+    whole = json.dumps(to_json(changed(result, **(changes or {}))))
     content = whole if changes is not None else whole[:-9]
     Manifest(tmp_path, "run").write("result.json", content.encode())
     settings = {"seed": 0, "bounds": [0.1, math.inf]}  # infinite is null in JSON
@@ -195,7 +194,7 @@ def test_a_finished_job_is_not_repeated(tmp_path: Path, changes: dict | None, re
 
 
 def test_a_sweeper_is_told_infinity_where_a_rollout_diverged(tmp_path: Path) -> None:
-    result = {"metrics": {"train": {"position_mae": 0.25, "diverged": 1}}}
+    result = changed(DONE, metrics={"train": {"diverged": 1}})
     assert run_in_sweep(lambda: (result, None), tmp_path, "baseline", []) == math.inf
     assert run_in_sweep(lambda: (DONE, "fit diverged"), tmp_path, "baseline", []) == math.inf
     assert os.listdir(tmp_path) == []  # no failure.json: there is a result

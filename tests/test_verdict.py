@@ -5,10 +5,10 @@ import json
 import shlex
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
-from conftest import Finished
+from conftest import Finished, put
 
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench.limits import Limits
@@ -18,6 +18,9 @@ from frictionzoo.design.plan import Request
 from frictionzoo.export.base import REGISTRY as TARGETS
 from frictionzoo.identification.commands import Origin
 from frictionzoo.report.terminal import summarise
+from frictionzoo.result.record import read_run
+from frictionzoo.result.section_types import Verdict
+from frictionzoo.result.types import Parameter, Result, Value
 from frictionzoo.result.verdict import judge, say_finding
 
 Run = Callable[[str], tuple[Path, Finished]]
@@ -25,16 +28,19 @@ LOST = {"position_mae": None, "position_mae_std": None, "position_rmse": None, "
 
 
 @pytest.fixture
-def good(finished_run: Run) -> dict[str, Any]:
+def good(finished_run: Run) -> Result:
     """The record of a run, with all that speaks against it taken away."""
-    result = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
-    result |= {"warnings": [], "not_identified": None, "indistinct": [], "no_intervals": None, "residual": None}
-    result["fit"] |= {"stopped": "converged", "falling": 0.0, "moving": []}
-    for p in (*result["parameters"], *result["reference"]):
-        for row in (p, *p["by_joint"]):
-            row |= {"at_bound": False, "identifiable": True if row["identified"] else None}
+    result = read_run(finished_run("mujoco_default")[0])[0]
+    result.warnings, result.indistinct = [], []
+    result.not_identified = result.no_intervals = result.residual = None
+    result.fit.stopped, result.fit.falling, result.fit.moving = "converged", 0.0, []
+    for p in (*result.parameters, *result.reference):
+        for row in (p, *p.by_joint):
+            row.at_bound = False
+            if hasattr(row, "identifiable"):
+                row.identifiable = True if row.identified else None
     for part, error in (("train", 0.01), ("test", 0.01), ("baseline", 0.1)):
-        result["metrics"][part]["position_mae"] = error
+        result.metrics[part].position_mae = error
     return result
 
 
@@ -54,18 +60,14 @@ def torque(share: float, compared: str = "torque") -> dict[str, Any]:
     return {"compared": compared, "unit": "N m", "mean": row, "by_joint": [{"joint": "knee", **row}]}
 
 
-def spoil(result: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+def spoil(result: Result, path: str, value: Any) -> Result:
     spoilt = copy.deepcopy(result)
-    *sections, key = [int(name) if name.isdigit() else name for name in path.split(".")]
-    section = spoilt
-    for name in sections:
-        section = section[name]
-    section[key] = value
+    put(spoilt, path, value)
     return spoilt
 
 
-def test_only_where_nothing_is_found_does_nothing_speak_against_it(good: dict[str, Any]) -> None:
-    assert judge(good) == {"grade": "nothing speaks against it", "findings": [], "commands": []}
+def test_only_where_nothing_is_found_does_nothing_speak_against_it(good: Result) -> None:
+    assert judge(good) == Verdict("nothing speaks against it", [], [])
 
 
 @pytest.mark.parametrize(
@@ -105,15 +107,15 @@ def test_only_where_nothing_is_found_does_nothing_speak_against_it(good: dict[st
         ("residual", residual(), "use it with care", "exceeds noise by 30 % of the friction"),
     ],
 )
-def test_one_finding_is_never_nothing(good: dict[str, Any], path: str, value: Any, grade: str, text: str) -> None:
+def test_one_finding_is_never_nothing(good: Result, path: str, value: Any, grade: str, text: str) -> None:
     verdict = judge(spoil(good, path, value))
     assert verdict["grade"] == grade and len(verdict["findings"]) >= 1
     assert any(text in say_finding(finding) for finding in verdict["findings"])
 
 
-def test_what_is_left_is_no_finding_where_it_is_noise_or_little(good: dict[str, Any]) -> None:
+def test_what_is_left_is_no_finding_where_it_is_noise_or_little(good: Result) -> None:
     for changes in ({"noise": 0.1495}, {"correlation": 0.1}, {"residual": 0.02}):
-        assert judge(good | {"residual": residual(**changes)})["findings"] == []
+        assert judge(spoil(good, "residual", residual(**changes)))["findings"] == []
 
 
 @pytest.mark.parametrize(
@@ -133,23 +135,17 @@ def test_what_is_left_is_no_finding_where_it_is_noise_or_little(good: dict[str, 
         (place(place="position", periods=12.0), "position (12 periods per turn) explains 60 % of it ("),
     ],
 )
-def test_where_the_error_is_and_what_has_that_is_said(good: dict[str, Any], found: dict, text: str) -> None:
-    (finding,) = judge(good | {"residual": residual(found)})["findings"]
+def test_where_the_error_is_and_what_has_that_is_said(good: Result, found: dict, text: str) -> None:
+    (finding,) = judge(spoil(good, "residual", residual(found)))["findings"]
     assert finding["kind"] == "residual" and finding["law"] == found["law"] and text in say_finding(finding)
 
 
-def bound(name: str, unit: str, high: bool) -> dict[str, Any]:
-    row = {
-        "joint": "knee",
-        "value": 2.0 if high else 1.0,
-        "low": 1.0,
-        "high": 2.0,
-        "identified": True,
-        "at_bound": True,
-    }
-    row |= {"interval": None, "identifiable": True, "error": None}
-    owner, about = name.split("."), {"unit": unit, "scale": 1.0, "identified": True, "at_bound": True}
-    return {"owner": owner[0], "name": owner[1], **about, "identifiable": True, "by_joint": [row]}
+def bound(full: str, unit: str, high: bool) -> Parameter:
+    (owner, name), value = full.split("."), 2.0 if high else 1.0
+    about: Any = {"value": value, "low": 1.0, "high": 2.0, "identified": True, "at_bound": True}
+    unknown: Any = {"interval": None, "identifiable": True}
+    row = Value(name="knee", joints=["knee"], **about, **unknown)
+    return Parameter(name=name, owner=cast(Any, owner), unit=unit, by_joint=[row], **about, **unknown)
 
 
 @pytest.mark.parametrize(
@@ -163,28 +159,27 @@ def bound(name: str, unit: str, high: bool) -> dict[str, Any]:
         (bound("friction.stribeck_velocity", "rad/s", True), False),
     ],
 )
-def test_a_bound_that_cuts_a_size_off_forbids_use(good: dict[str, Any], parameter: dict, severe: bool) -> None:
-    usual = good["parameters"][0]
-    whole = {**usual, **parameter, "by_joint": [{**usual["by_joint"][0], **parameter["by_joint"][0]}]}
-    findings = judge(good | {"parameters": [whole]})["findings"]
+def test_a_bound_that_cuts_a_size_off_forbids_use(good: Result, parameter: Parameter, severe: bool) -> None:
+    good.parameters = [parameter]
+    findings = judge(good).findings
     assert [finding["severe"] for finding in findings if finding["kind"] == "bounds"] == [severe]
 
 
-def test_causes_come_first_and_few_parameters_are_not_overfitted(good: dict[str, Any]) -> None:
-    found = spoil(good | {"residual": residual(place())}, "metrics.train.position_mae", 0.005)
+def test_causes_come_first_and_few_parameters_are_not_overfitted(good: Result) -> None:
+    found = spoil(spoil(good, "residual", residual(place())), "metrics.train.position_mae", 0.005)
     found = spoil(found, "fit.stopped", "diverged")
     findings = judge(found)["findings"]
     assert [finding["kind"] for finding in findings[:2]] == ["residual", "fit"]
     (train,) = (say_finding(finding) for finding in findings if finding["kind"] == "train")
     assert "overfitted" not in train
-    found["network"] = {"weights": 10_000}
+    put(found, "network", {"weights": 10_000})
     assert any("overfitted" in say_finding(finding) for finding in judge(found)["findings"])
 
 
-def test_a_reference_at_a_bound_is_no_doubt_where_noise_is_all_that_is_left(good: dict[str, Any]) -> None:
+def test_a_reference_at_a_bound_is_no_doubt_where_noise_is_all_that_is_left(good: Result) -> None:
     found = spoil(good, "reference.0.at_bound", True)
-    assert judge(found | {"residual": residual(residual=0.01)})["findings"] == []
-    assert judge(found | {"residual": residual(residual=0.03)})["findings"] != []
+    assert judge(spoil(found, "residual", residual(residual=0.01)))["findings"] == []
+    assert judge(spoil(found, "residual", residual(residual=0.03)))["findings"] != []
 
 
 def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) -> None:
@@ -222,7 +217,7 @@ def test_options_of_the_law_and_of_the_folder_are_not_those_of_the_next() -> Non
 
 def test_the_terminal_ends_with_the_verdict(finished_run: Run) -> None:
     folder, finished = finished_run("coulomb_smooth")
-    result = json.loads((folder / "result.json").read_text())
+    result = read_run(folder)[0]
     lines = summarise(result, folder).splitlines()
     at = next(number for number, line in enumerate(lines) if line.startswith("verdict: "))
     count = len(result["verdict"]["findings"])

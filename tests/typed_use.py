@@ -41,7 +41,7 @@ def identify(folder: str) -> list[str]:
     fit.save(folder)
     written = fit.export("mjcf", "drive.xml", timestep=0.001)
     armature = fit.parameters["bench.armature"]
-    error: float = fit.metrics["test"].position_mae
+    error: float | None = fit.metrics["test"].position_mae
     known: dict[str, fz.Param] = bench.params
     compared: fz.Compared = fz.compare(
         bench, ["baseline", Own(1, {"damping": 0.1})], logs, test=0.2, method="lm", seed=1

@@ -9,7 +9,7 @@ from frictionzoo.api.identified import Identified
 from frictionzoo.core.errors import RunError
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import Failure, Run, gather
-from frictionzoo.result.comparison.types import Comparison, PairRow
+from frictionzoo.result.comparison.types import Comparison, Pair
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,10 +35,10 @@ class Compared:
         """
         if not drives:
             raise RunError("drives: none, expected at least one to compare")
-        runs = gather([Run(d.result["model"], Path(d.folder or d.result["model"]), d.result, d.curves) for d in drives])
+        runs = gather([Run(d.result.model, Path(d.folder or d.result.model), d.result, d.curves) for d in drives])
         labelled = dict(zip((run.label for run in runs), drives, strict=True))
         record = compare_runs(runs, failures)
-        return cls(record, tuple(runs), {row["label"]: labelled[row["label"]] for row in record["runs"]})
+        return cls(record, tuple(runs), {row.label: labelled[row.label] for row in record.runs})
 
     @property
     def ranking(self) -> list[str]:
@@ -48,13 +48,13 @@ class Compared:
     @property
     def recommended(self) -> Identified | None:
         """The simplest drive within noise of the best; None if all test rollouts diverged."""
-        recommendation = self.record["recommendation"]
-        return self.drives[recommendation["run"]] if recommendation else None
+        recommendation = self.record.recommendation
+        return self.drives[recommendation.run] if recommendation else None
 
     @property
-    def differences(self) -> dict[tuple[str, str], PairRow]:
+    def differences(self) -> dict[tuple[str, str], Pair]:
         """Error of the first drive minus error of the second on paired rollouts: mean, 95 % interval, verdict."""
-        return {(pair["run"], pair["other"]): pair for pair in self.record["pairs"]}
+        return {(pair.run, pair.other): pair for pair in self.record.pairs}
 
     def save(self, folder: str | Path) -> None:
         """Write the files of `python -m frictionzoo.compare`: JSON, page, figures, and a LaTeX table.

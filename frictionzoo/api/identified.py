@@ -63,8 +63,8 @@ class Identified(FittedDrive):
         for model in models:
             write_atomically(folder / model.name, model.content)
         result = copy.deepcopy(self.result)
-        result["written"] = [model.describe(self) for model in models]
-        result["timing"]["total"] += time.perf_counter() - began
+        result.written = [model.describe(self) for model in models]
+        result.timing.total += time.perf_counter() - began
         replay = record_replay(self.bench, self.values["bench"], self.curves, self.segments.timestep)
         write_report(folder / "report.html", result, self.curves, replay)
         write_json(folder / RESULT, result)

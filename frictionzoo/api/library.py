@@ -148,7 +148,7 @@ def identify(
         logs: Recordings.
         test: Recordings for the evaluation: the last share of each, or a rule; None keeps the split of `logs`.
         recipe: `auto` chooses options that neither this call nor the bench sets, from the training logs: precision,
-            segments, loss, command delay, position offset and simulation step. `result["recipe"]` lists them with
+            segments, loss, command delay, position offset and simulation step. `result.recipe` lists them with
             reasons. `given` takes them from the configuration, with the values of the paper, and the step from the
             MJCF.
         method: Name of a fit, such as `auto`, `lm`, `adam`, `grid` or `known`, or a `Fit` with options.

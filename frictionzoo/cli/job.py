@@ -58,7 +58,7 @@ def run_job(
     tell(f"writing {folder}")
     result = drive.save(folder)
     figures = [folder / name for name in RUN_FILES if name.startswith("figures/") and (folder / name).exists()]
-    logger.finish(result["fit"]["iterations"], pick_metrics(result), figures, summarise_in_markdown(result, folder))
+    logger.finish(result.fit.iterations, pick_metrics(result), figures, summarise_in_markdown(result, folder))
     return result, drive.complaint
 
 
@@ -69,7 +69,7 @@ def _identify(name: str, problem: Problem) -> dict[str, str]:
     return {
         "frictionzoo": __version__,
         "model": name,
-        "data": describe_data(problem.dataset)["sha256"],
+        "data": describe_data(problem.dataset).sha256,
         "engine": problem.drive.engine.name,
         **{section: json.dumps(value, sort_keys=True) for section, value in sections.items() if section != "model"},
         "model settings": json.dumps(sections["model"], sort_keys=True),

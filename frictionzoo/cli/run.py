@@ -70,7 +70,7 @@ def _job(config: DictConfig) -> float:
         result, complaint = _identify(config, folder, goes_on=resumed is not None)
     if complaint:
         fail(complaint)
-    if result["not_identified"]:
+    if result.not_identified:
         sys.exit(NOT_IDENTIFIED)
     return objective_of(result)
 
@@ -152,5 +152,5 @@ def _conclude(sweep: Path, complaint: str | None) -> None:
         complaints.append(complaint)
     if complaints:
         fail(*complaints)
-    if comparison and (comparison["recommendation"] or {}).get("not_identified"):
+    if comparison and comparison.recommendation and comparison.recommendation.not_identified:
         sys.exit(NOT_IDENTIFIED)

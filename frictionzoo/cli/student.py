@@ -45,7 +45,7 @@ def distill(folder: Path, options: Mapping[str, str]) -> None:
     say("\n\n".join([summarise(student, place), summarise_comparison(compared, place / "comparison")]))
     if complaint:
         raise FitError(complaint)
-    if student["not_identified"]:
+    if student.not_identified:
         sys.exit(NOT_IDENTIFIED)
 
 
@@ -63,7 +63,7 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
     for option in options:
         if option.partition(".")[0] in _SHARED:
             raise ConfigError(f"{option}: teacher and student share it; leave it out")
-    settings = conf.keep_caches_at_home(teacher.result["settings"])
+    settings = conf.keep_caches_at_home(teacher.result.settings)
     # Other loggers start programs, which the user has to request.
     is_csv = "loggers.Csv" in str(settings.get("logger"))
     chosen = {"fit": "auto", "logger": "csv" if is_csv else "tensorboard"}

@@ -18,9 +18,10 @@ from frictionzoo import __version__
 from frictionzoo.cli.explain import explain
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.errors import OutputError, RunError
-from frictionzoo.core.jobs import find_runs, read_failure, read_json
+from frictionzoo.core.jobs import find_runs, read_failure, read_json, read_record
 from frictionzoo.core.manifest import Manifest, State, saying
 from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock, occupy, to_json, write_json
+from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.types import Result
 
 _log = logging.getLogger(__name__)
@@ -85,7 +86,7 @@ def run_in_sweep(
     with occupy(folder, wait=True, names=RUN_FILES, inside=inside) as manifest:
         if finished is not None and (result := _read_finished(folder, finished)):
             _log.info("%s: result exists", folder.name)
-            return math.inf if result["fit"]["stopped"] == "diverged" else objective_of(result)
+            return math.inf if result.fit.stopped == "diverged" else objective_of(result)
         for name in (RESULT, FAILURE):
             manifest.remove(name)
         try:
@@ -107,11 +108,11 @@ def run_in_sweep(
 def _read_finished(folder: Path, settings: Mapping[str, Any]) -> Result | None:
     """Return the content of a job's `result.json` if this version made it with these settings, else None."""
     try:
-        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
-        same = result["settings"] == json.loads(json.dumps(to_json(settings)))
-        return result if same and result["versions"]["frictionzoo"] == __version__ else None
-    except (OSError, ValueError, KeyError, TypeError):
+        result = read_record(folder / RESULT, Result)
+    except RunError:
         return None
+    same = result.settings == json.loads(json.dumps(to_json(settings)))
+    return result if same and result.versions.frictionzoo == __version__ else None
 
 
 def objective_of(result: Result) -> float:
@@ -120,11 +121,11 @@ def objective_of(result: Result) -> float:
     It uses no test data, and does not depend on segments and weights as the loss does, so jobs are comparable. It is
     infinite if a rollout diverged, because the mean ignores diverged rollouts.
     """
-    train = result["metrics"]["train"]
-    return math.inf if train["diverged"] or train["position_mae"] is None else float(train["position_mae"])
+    train = result.metrics.train
+    return math.inf if train.diverged or train.position_mae is None else float(train.position_mae)
 
 
-def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[str]]:
+def conclude_sweep(folder: Path) -> tuple[Comparison | None, str, list[str]]:
     """Compare the jobs of a sweep from their files, wherever they ran, and write the comparison to `comparison/`.
 
     Wait for jobs that still run, as some do after their launcher gave up on another one.

@@ -7,6 +7,8 @@ from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Any
 from xml.parsers import expat
 
+from frictionzoo.core.records import Record
+
 _PART = r"""[^\s\\/'"\],;:()<>]"""
 _PATH = re.compile(rf"(?<![\w./~\\:<-])(?:~|[A-Za-z]:)?[\\/](?:{_PART}+[\\/])*({_PART}+)")
 _FILES = {
@@ -32,7 +34,7 @@ def list_paths(settings: Any, key: str = "") -> Iterator[str]:
         yield from [settings] if key.rpartition(".")[2] in _FILES or _exists(settings) else []
 
 
-def list_paths_of(result: Mapping[str, Any], command: str | None = None) -> set[str]:
+def list_paths_of(result: Any, command: str | None = None) -> set[str]:
     """Return the paths of a run, from its `result.json` and its command."""
     recordings = [log["name"] for log in result["data"]["logs"]]
     commands = [command, *(row["command"] for row in result["verdict"]["commands"])]
@@ -48,7 +50,7 @@ def list_paths_in(command: str | None) -> Iterator[str]:
 
 
 def without_paths(value: Any, paths: Collection[str], names: Collection[str] = (), below: Path | None = None) -> Any:
-    """Return a JSON value with each path of this machine shortened to its last part.
+    """Return a record or JSON value with each path of this machine shortened to its last part.
 
     These are `paths` and everything in their folders, in the user's home folder and in the current folder. Paths in the
     folder `below` become relative to it. Other text stays, even if it looks like a path; so do `names` of joints.
@@ -68,6 +70,8 @@ def without_paths(value: Any, paths: Collection[str], names: Collection[str] = (
 
 
 def _replace(value: Any, shorten: Callable[[str], str]) -> Any:
+    if isinstance(value, Record):
+        return type(value)(*(_replace(value[name], shorten) for name in value.__struct_fields__))
     if isinstance(value, Mapping):
         return {_replace(key, shorten): _replace(part, shorten) for key, part in value.items()}
     if isinstance(value, list):

@@ -2,25 +2,18 @@
 
 import json
 import re
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args, get_type_hints
 
+import msgspec
 import yaml
 
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING, TEMPLATE
+from frictionzoo.core.records import Failure, Record
 
+R = TypeVar("R", bound=Record)
 _DEEPEST = 60  # levels of nesting; this program's files have a dozen
-
-
-@dataclass(frozen=True)
-class Failure:
-    """Job of a sweep without a result: name of its folder, model (empty if unknown) and reason in one line."""
-
-    run: str
-    model: str
-    reason: str
 
 
 def find_runs(folder: Path) -> list[Path]:
@@ -100,6 +93,27 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")
     return content
+
+
+def read_record(path: Path, kind: type[R]) -> R:
+    """Read a JSON file of this program with the `schema_version` of its record, and validate it.
+
+    Raises:
+        RunError: The file cannot be read or is invalid.
+    """
+    content, (version,) = read_json(path), get_args(get_type_hints(kind)["schema_version"])
+    if (saved := content.get("schema_version")) != version:
+        raise RunError(f"{path}: schema_version {saved}, expected {version}; run it again with this version")
+    return parse_record(path, kind, content)
+
+
+def parse_record(path: Path, kind: type[R], content: Any) -> R:
+    """Return the record in the content of a JSON file; RunError with the file's path if it is invalid."""
+    try:
+        return msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
+        reason = " ".join(str(error).split())[:200]
+        raise RunError(f"{path}: {reason}; expected the file that this version writes") from None
 
 
 def _refuse_constant(name: str) -> None:

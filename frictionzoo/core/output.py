@@ -11,13 +11,15 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 from filelock import FileLock, Timeout
 
 from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empty, saying, show_path
+from frictionzoo.core.records import Record
 
 # Files in a job's folder that show its status.
 RESULT = "result.json"  # done
@@ -28,6 +30,7 @@ RUNNING = ".running"  # locked while a process runs the job; a killed process le
 
 _CLAIMED: ContextVar[tuple[tuple[Path, Manifest | None], ...]] = ContextVar("claimed", default=())
 _log = logging.getLogger(__name__)
+R = TypeVar("R", bound=Record)
 
 
 RUN_FILES = (
@@ -178,8 +181,18 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file as `write_atomically` does; ValueError for NaN and infinities."""
-    write_atomically(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+    """Write a record or plain content as `write_atomically` does; ValueError for NaN and infinities."""
+    text = json.dumps(content, indent=2, allow_nan=False, default=msgspec.to_builtins)
+    write_atomically(path, f"{text}\n".encode())
+
+
+def complete(record: R) -> R:
+    """Return a record as it is read back: validated, with Python's numbers, and None for those that are not finite.
+
+    Raises:
+        msgspec.ValidationError: A value has another type than its field.
+    """
+    return msgspec.convert(to_json(record), type(record))
 
 
 def remove_written(path: Path) -> None:
@@ -236,6 +249,8 @@ def _no_folder(place: Path, error: OSError) -> OutputError:
 
 def to_json(value: Any) -> Any:
     """Return JSON-compatible mappings and lists, with Python numbers for numpy's and None for non-finite ones."""
+    if isinstance(value, Record):
+        return {field.encode_name: to_json(value[field.name]) for field in msgspec.structs.fields(value)}
     if isinstance(value, Mapping):
         return {key: to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

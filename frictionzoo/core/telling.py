@@ -10,6 +10,8 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from frictionzoo.core.records import Record
+
 Rows = Sequence[Sequence[str]]
 _COLUMNS = {"qpos": "position", "qvel": "velocity", "ctrl": "command", "torque": "torque"}
 # Control characters, text direction marks, line separators, halves of surrogate pairs.
@@ -27,7 +29,9 @@ def escape_controls(text: str, keep: str = "") -> str:
 
 
 def escape_all(value: Any) -> Any:
-    """Return the same mappings and lists with every text escaped, including line breaks."""
+    """Return the same records, mappings and lists with every text escaped, including line breaks."""
+    if isinstance(value, Record):
+        return type(value)(*(escape_all(value[name]) for name in value.__struct_fields__))
     if isinstance(value, str):
         return escape_controls(value)
     if isinstance(value, Mapping):

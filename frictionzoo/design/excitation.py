@@ -205,11 +205,11 @@ def _list_parameters(
 
 def _share_now(run: FittedDrive) -> dict[str, float]:
     """Return half of each confidence interval of a run as a share of the value, by the parameter's label."""
-    rows = {label: row for p in run.result["parameters"] for label, row in label_values(p).items()}
+    rows = {label: row for p in run.result.parameters for label, row in label_values(p).items()}
     return {
-        label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
+        label: (row.interval[1] - row.interval[0]) / abs(2 * row.value)
         for label, row in rows.items()
-        if row["interval"] is not None and row["value"]
+        if row.interval is not None and row.value
     }
 
 

@@ -134,7 +134,7 @@ def _settle(options: Mapping[str, str], run: FittedDrive | None) -> dict[str, An
         plain = compose_config(*(f"{g}={n}" for g, n in chosen.items()))
         OmegaConf.set_struct(plain, False)
     else:
-        plain = create_literal(keep_caches_at_home(run.result["settings"]))
+        plain = create_literal(keep_caches_at_home(run.result.settings))
     values = [read_value(f"{name}={value}") for name, value in options.items() if name not in chosen]
     config = cast(DictConfig, OmegaConf.merge(plain, *values))
     check_overrides(config, plain)

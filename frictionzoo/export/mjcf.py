@@ -21,7 +21,7 @@ from frictionzoo.export.stand import compare_torque, list_coupled, mount
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
-from frictionzoo.result.section_types import WrittenRow
+from frictionzoo.result.section_types import WrittenModel
 from frictionzoo.result.simulator import RK4
 
 _log = logging.getLogger(__name__)
@@ -49,21 +49,22 @@ class ModelFile:
     limits: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
-    def describe(self, fitted: FittedDrive) -> WrittenRow:
+    def describe(self, fitted: FittedDrive) -> WrittenModel:
         """Return its entry in `result.json`."""
-        difference, error = self.difference, fitted.result["metrics"]["test"]["position_mae"]
-        return {
-            "file": self.name,
-            "timestep": self.timestep,
-            "mean": difference and difference.mean,
-            "largest": difference and difference.largest,
-            "unit": cast(Literal["rad", "m"], UNITS[fitted.bench.joint_type]["position"]),
-            "share": difference.mean / error if difference and error else None,
-            "exact": difference is not None and difference.largest <= EXACT,
-            "over": difference.over if difference else "",
-            "reason": difference.reason if difference else "",
-            "limits": list(self.limits),
-        }
+        difference, error = self.difference, fitted.result.metrics.test.position_mae
+        unit: Any = UNITS[fitted.bench.joint_type]["position"]
+        return WrittenModel(
+            file=self.name,
+            timestep=self.timestep,
+            mean=difference and difference.mean,
+            largest=difference and difference.largest,
+            unit=unit,
+            share=difference.mean / error if difference and error else None,
+            exact=difference is not None and difference.largest <= EXACT,
+            over=difference.over if difference else "",
+            reason=difference.reason if difference else "",
+            limits=list(self.limits),
+        )
 
 
 @register_target("mjcf")
@@ -243,7 +244,7 @@ def _say_difference(fitted: FittedDrive, difference: Difference) -> str:
     prefix = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
     if difference.largest <= EXACT:
         return f"{prefix} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
-    error = fitted.result["metrics"]["test"]["position_mae"]
+    error = fitted.result.metrics.test.position_mae
     share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
     reason = f": {difference.reason}" if difference.reason else ""
     return (

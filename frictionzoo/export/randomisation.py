@@ -158,7 +158,7 @@ def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
         measure("qpos", fitted, positions[0], expected[0], reason=drives[0][1].lacks),
         measure("qpos", fitted, drawn, drawn_expected, over, drives[0][1].lacks),
     )
-    unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result["metrics"]["test"]["position_mae"]
+    unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result.metrics.test.position_mae
     test_error = "" if error is None else f"; the fitted drive's test error is {error:.2g} {unit} in the mean"
     return differences, (
         f"Positions of the {len(drawn)} drives in {FOLDER}/ are {drawn.std(axis=0).mean():.2g} {unit} apart (standard "
@@ -253,7 +253,7 @@ def write_events(
     return render(
         f"{program.file}.jinja",
         about=textwrap.fill(_ABOUT, 110),
-        origin={"run": fitted.place, "model": fitted.model.name, "data": fitted.result["data"]["name"]},
+        origin={"run": fitted.place, "model": fitted.model.name, "data": fitted.result.data.name},
         joints={name: match_joint(name) for name in joints},
         delays=delays,
         timestep=f"{fitted.timestep:g}",

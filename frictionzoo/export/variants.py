@@ -15,7 +15,7 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.evaluate import Values
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import label_values, name_some
-from frictionzoo.result.types import ValueRow
+from frictionzoo.result.types import Value
 
 _SAME = 1e-9  # relative tolerance for a quantity to equal a parameter
 _EXAMPLE = "'ranges={bench.armature: [0.8, 1.2]}'"
@@ -73,8 +73,8 @@ def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
         stated = None
     if not isinstance(stated, dict):
         raise ConfigError(f"ranges={text}: expected shares of values by name, as in {_EXAMPLE}")
-    rows = fitted.result["parameters"]
-    names = {f"{row['owner']}.{row['name']}" for row in rows}.union(*map(label_values, rows))
+    rows = fitted.result.parameters
+    names = {f"{row.owner}.{row.name}" for row in rows}.union(*map(label_values, rows))
     ranges = {}
     for name in stated:
         if name not in names:
@@ -105,20 +105,20 @@ def draw_variants(fitted: FittedDrive, count: int, seed: int, ranges: Ranges) ->
         ConfigError: A stated range is invalid for its parameter.
     """
     _refuse_vague(fitted, ranges)
-    any_identifiable = any(entry["identifiable"] for row in fitted.result["parameters"] for entry in row["by_joint"])
+    any_identifiable = any(entry.identifiable for row in fitted.result.parameters for entry in row.by_joint)
     drawn = fitted.sample(count, seed) if any_identifiable else {}
     rng, quantities = np.random.default_rng((seed, 1)), list[Quantity]()
-    for row, (name, parameter) in zip(fitted.result["parameters"], fitted.parameters.items(), strict=True):
+    for row, (name, parameter) in zip(fitted.result.parameters, fitted.parameters.items(), strict=True):
         values = np.array(drawn.get(name, np.broadcast_to(parameter.value, (count, fitted.bench.nv))))
         ends, why = np.repeat(parameter.value[:, None], 2, axis=1), [""] * fitted.bench.nv
         for label, entry in label_values(row).items():
-            joints, stated = [fitted.bench.joints.index(joint) for joint in entry["joints"]], _stated(ranges, label)
+            joints, stated = [fitted.bench.joints.index(joint) for joint in entry.joints], _stated(ranges, label)
             if stated is not None:
                 low, high = ends[joints] = _scale(fitted, label, entry, stated)
                 values[:, joints] = _spread(values[:, joints], low, high, rng)
-            elif entry["identified"]:
-                ends[joints] = entry["interval"]
-            for joint in joints if stated is not None or entry["identified"] else ():
+            elif entry.identified:
+                ends[joints] = entry.interval
+            for joint in joints if stated is not None or entry.identified else ():
                 why[joint] = f"{'95 % interval' if stated is None else 'stated range'} of {name}"
         if any(why):
             quantities.append(Quantity(name, parameter.unit, values, parameter.value, ends, tuple(why)))
@@ -133,15 +133,15 @@ def _stated(ranges: Ranges, label: str) -> Range | None:
 
 
 def _refuse_vague(fitted: FittedDrive, ranges: Ranges) -> None:
-    entries = {label: entry for row in fitted.result["parameters"] for label, entry in label_values(row).items()}
+    entries = {label: entry for row in fitted.result.parameters for label, entry in label_values(row).items()}
     vague = [
         label
         for label, entry in entries.items()
-        if entry["identified"] and not entry["identifiable"] and _stated(ranges, label) is None
+        if entry.identified and not entry.identifiable and _stated(ranges, label) is None
     ]
     if not vague:
         return
-    missing = fitted.result["no_intervals"]
+    missing = fitted.result.no_intervals
     why = f"no interval ({missing})" if missing else "not identifiable on the run's recordings"
     advice = "fit model=mujoco_default" if missing else "record what determines it (python -m frictionzoo.design)"
     raise ExportError(
@@ -150,12 +150,12 @@ def _refuse_vague(fitted: FittedDrive, ranges: Ranges) -> None:
     )
 
 
-def _scale(fitted: FittedDrive, label: str, entry: ValueRow, stated: Range) -> Float[np.ndarray, "2"]:
+def _scale(fitted: FittedDrive, label: str, entry: Value, stated: Range) -> Float[np.ndarray, "2"]:
     """Return the ends of a stated range in the parameter's unit; raise ConfigError if they are invalid."""
-    low, high = entry["low"], entry["high"]
+    low, high = entry.low, entry.high
     if label.partition("/")[0] == "bench.delay":  # longest delay covered by the recorded history
         high = min(high, fitted.sampling.history * fitted.sampling.interval)
-    first, last = sorted(end * (1 if stated.absolute else entry["value"]) for end in stated[:2])
+    first, last = sorted(end * (1 if stated.absolute else entry.value) for end in stated[:2])
     if first == last:
         line = "its value is 0, expected one to take shares of; give {low: NUMBER, high: NUMBER} in its unit"
         raise ConfigError(f"ranges: {label}: {line}")

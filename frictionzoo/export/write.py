@@ -150,7 +150,7 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
     with take_place(place, "export", [NOTE]) as fresh:
         export = target.write(moved, fresh, target_options)
         export = replace(export, limits=(*export.limits, *_say_simulator(moved)))
-        written = Written(name, place, export, error=moved.result["metrics"]["test"]["position_mae"])
+        written = Written(name, place, export, error=moved.result.metrics.test.position_mae)
         note = _note(moved, written, target.packages, export)
         write_json(fresh / NOTE, to_json(note))
     return written
@@ -191,7 +191,7 @@ def _note(fitted: FittedDrive, written: Written, packages: Sequence[str], export
     return {
         "target": written.target,
         "run": str(fitted.folder.resolve()) if fitted.folder else None,
-        "model": fitted.result["model"],
+        "model": fitted.result.model,
         "joints": list(fitted.bench.joints),
         "timestep": fitted.timestep,
         "files": list(export.files),

@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +20,7 @@ from frictionzoo.identification.problem import Problem
 from frictionzoo.models import TorchFriction
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.sees import SEES, observe, simpler_law, suggest_law
-from frictionzoo.result.section_types import CommandRow, ResidualRow
+from frictionzoo.result.section_types import Command, Residual
 
 FIRST_LAW = "mujoco_default"  # suggested if no other model is
 TARGET = "mjcf"
@@ -66,8 +66,8 @@ class Origin:
 
 
 def suggest_commands(
-    problem: Problem, values: Mapping[str, Any], residual: ResidualRow | None, origin: Origin
-) -> list[CommandRow]:
+    problem: Problem, values: Mapping[str, Any], residual: Residual | None, origin: Origin
+) -> list[Command]:
     """Return commands for a shell; the verdict may still drop some.
 
     Args:
@@ -79,7 +79,7 @@ def suggest_commands(
     law = choose_law(problem, residual)
     limits = recorded_limits(problem.bench, values, problem.dataset.train)
     repairs = complete_options(_list_repairs(problem), problem.bench, problem.settings)
-    run, found = shlex.split(origin.command), dict[str, str]()
+    run, found = shlex.split(origin.command), dict[Any, str]()
     if repairs:
         kept = [each for each in (*origin.options, *origin.law) if each.partition("=")[0].lstrip("+~") not in repairs]
         found["repair"] = shlex.join([*run, *kept, *_as_options(repairs)])
@@ -91,7 +91,7 @@ def suggest_commands(
     else:
         found["inspect"] += "  # no command can be designed for this drive; record the motion that is missing"
     found["export"] = f"python -m frictionzoo.export {origin.place} target={TARGET}"
-    return [cast(CommandRow, {"kind": kind, "command": command}) for kind, command in found.items()]
+    return [Command(kind, command) for kind, command in found.items()]
 
 
 def _list_repairs(problem: Problem) -> list[Repair]:
@@ -153,13 +153,13 @@ def _widen(options: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str,
     return wider
 
 
-def choose_law(problem: Problem, residual: ResidualRow | None) -> str:
+def choose_law(problem: Problem, residual: Residual | None) -> str:
     """Return the friction model to try next.
 
     It is one with the term that the residual torque asks for; else one with one term more; else one with one term less.
     """
-    places = [place for row in residual["by_joint"] for place in row["places"]] if residual else []
-    found = [place["law"] for place in sorted(places, key=lambda place: -place["share"])]
+    places = [place for row in residual.by_joint for place in row.places] if residual else []
+    found = [place.law for place in sorted(places, key=lambda place: -place.share)]
     if named := next(filter(None, found), None):
         return named
     model = problem.drive.model.of_joint(0)[0]
@@ -171,12 +171,12 @@ def choose_law(problem: Problem, residual: ResidualRow | None) -> str:
     return richer or simpler_law(model, sees) or FIRST_LAW
 
 
-def _options_of_law(problem: Problem, law: str, residual: ResidualRow | None) -> list[str]:
+def _options_of_law(problem: Problem, law: str, residual: Residual | None) -> list[str]:
     """Return the options that choose the next model; with a model per joint, only insufficient ones are replaced."""
     model = problem.drive.model
     if not isinstance(model, ByJoint):
         return [f"model={law}"]
-    lacking = {row["joint"] for row in (residual["by_joint"] if residual else []) if row["places"]}
+    lacking = {row.joint for row in (residual.by_joint if residual else []) if row.places}
     joints = problem.bench.joints
     laws = {name: law if name in lacking else model.of_joint(at)[0].name for at, name in enumerate(joints)}
     return ["model=by_joint", f"model.laws={{{', '.join(f'{name}: {own}' for name, own in laws.items())}}}"]

@@ -32,12 +32,12 @@ from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.portrait import DRAWS, Rows, portray, sample_friction
-from frictionzoo.result.record import Findings, build_result
+from frictionzoo.result.record import build_result
 from frictionzoo.result.residual_torque import Left, find_left
 from frictionzoo.result.residuals import describe_residual
-from frictionzoo.result.section_types import FitRow
+from frictionzoo.result.section_types import AutomaticSetting, FitRecord, Residual, Timing, Torque
 from frictionzoo.result.torque import choose_filtering, measure_torque
-from frictionzoo.result.types import Result
+from frictionzoo.result.types import EvaluationRollouts, Result
 from frictionzoo.simulation import Values
 from frictionzoo.simulation.drive import Drive
 from frictionzoo.simulation.rollout import make_observer
@@ -77,39 +77,39 @@ def solve(
     evaluation_began = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(problem.measured or problem)
-    residual_torque, sections = _find_residual(problem, outcome)
+    residual_torque, torque, residual = _find_residual(problem, outcome)
 
-    findings = Findings(
-        name=name,
-        bench=problem.bench,
+    result = build_result(
         model=problem.drive.model,
+        bench=problem.bench,
         values=outcome.values,
         dataset=problem.dataset,
-        evaluation=problem.evaluation,
         judgement=judgement,
         baseline=baseline,
         reference=reference["bench"],
-        **sections,
+        uncertainty=uncertainty,
         links=problem.links,
-        fit=_describe_fit(problem.objective.space, outcome, uncertainty),
-        timing={
-            "setup": problem.seconds,
-            "compile": outcome.compile_seconds,
-            "fit": outcome.fit_seconds,
-            "uncertainty": evaluation_began - intervals_began,
-            "evaluate": (ended := time.perf_counter()) - evaluation_began,
-            "total": problem.seconds + ended - began,
-        },
         settings=problem.settings,
+        commands=suggest_commands(problem, outcome.values["bench"], residual, origin) if origin else [],
+        model_name=name,
+        torque=torque,
+        residual=residual,
+        evaluation=EvaluationRollouts(problem.evaluation.sha256, problem.evaluation.window),
+        fit=_describe_fit(problem.objective.space, outcome, uncertainty),
+        timing=Timing(
+            setup=problem.seconds,
+            compile=outcome.compile_seconds,
+            fit=outcome.fit_seconds,
+            uncertainty=evaluation_began - intervals_began,
+            evaluate=(ended := time.perf_counter()) - evaluation_began,
+            total=problem.seconds + ended - began,
+        ),
+        recipe=[AutomaticSetting(*choice) for choice in problem.choices],
         engine=problem.drive.engine.name,
         proof=problem.proof,
         warnings=[doubt.text for doubt in problem.doubts],
         device=device,
-        uncertainty=uncertainty,
-        commands=suggest_commands(problem, outcome.values["bench"], sections["residual"], origin) if origin else [],
-        recipe=[{"option": option, "value": value, "reason": reason} for option, value, reason in problem.choices],
     )
-    result = build_result(findings)
     curves = _collect_curves(problem, outcome, judgement, baseline)
     return _hand_over(problem, outcome, result, replace(curves, **_portray(problem, result, residual_torque)))
 
@@ -187,7 +187,7 @@ def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
     return problem.evaluation.judge(drive.rollout.compiled, values), values
 
 
-def _find_residual(problem: Problem, outcome: Outcome) -> tuple[Left | None, dict[str, Any]]:
+def _find_residual(problem: Problem, outcome: Outcome) -> tuple[Left | None, Torque | None, Residual | None]:
     """Return the residual torque of the training recordings, and the sections `torque` and `residual`."""
     filtering = choose_filtering(problem.fit, problem.evaluation.torque)
     train, space = problem.dataset.train, problem.objective.space
@@ -195,7 +195,7 @@ def _find_residual(problem: Problem, outcome: Outcome) -> tuple[Left | None, dic
     torque = measure_torque(recordings, len(train), space, outcome.vector, filtering)
     residual_torque = find_left(recordings._replace(logs=train), space, outcome.vector, filtering[0])
     residual = describe_residual(residual_torque, space, outcome.vector) if residual_torque else None
-    return residual_torque, {"torque": torque, "residual": residual}
+    return residual_torque, torque, residual
 
 
 def _portray(problem: Problem, result: Result, left: Left | None) -> dict[str, Any]:
@@ -246,19 +246,19 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
     return np.asarray(torque(values, *states, segments.signals, segments.loads), np.float64)
 
 
-def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> FitRow:
+def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> FitRecord:
     # Iterations of a grid search are no descent, and a converged or diverged fit reports that itself.
     descended = outcome.stopped == "finished" and outcome.method != "grid"
     history = space.pick({name: values.T for name, values in outcome.history.items()})
-    return {
-        "method": outcome.method,
-        "iterations": outcome.iterations,
-        "best_iteration": outcome.best_iteration,
-        "loss": outcome.loss,
-        "stopped": outcome.stopped,
-        "falling": still_falling(outcome.history["loss"]) if descended else 0.0,
-        "moving": list_moving(history, space.pick(uncertainty.intervals)) if descended else [],
-    }
+    return FitRecord(
+        method=outcome.method,
+        iterations=outcome.iterations,
+        best_iteration=outcome.best_iteration,
+        loss=outcome.loss,
+        stopped=outcome.stopped,
+        falling=still_falling(outcome.history["loss"]) if descended else 0.0,
+        moving=list_moving(history, space.pick(uncertainty.intervals)) if descended else [],
+    )
 
 
 def list_moving(

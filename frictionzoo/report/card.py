@@ -8,8 +8,9 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from frictionzoo.bench import Bench
@@ -24,12 +25,11 @@ from frictionzoo.core.templates import open_template, write_yaml
 from frictionzoo.report.run_plots import find_units, save_portraits
 from frictionzoo.report.terminal import tabulate_errors, tabulate_values
 from frictionzoo.report.text import escape_markdown, format_number, to_markdown
-from frictionzoo.result.card import BENCH, PublishedRow, VisitedRow, find_reference, hash_record
+from frictionzoo.result.card import BENCH, Card, Conditions, Published, Visited, find_reference, hash_record
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import write_curves
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.read_back import LAW
-from frictionzoo.result.record import read_schema, refuse_invalid
 from frictionzoo.result.types import Result
 
 PICTURE = "friction.png"
@@ -70,18 +70,17 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
     place = Path(options.get("output", folder / FOLDER))
     with take_place(place, "card", [PAGE, *FILES, RESULT]) as fresh:
         drive = FittedDrive.load(folder)
-        content = describe_card(drive, folder, options)
+        result = describe_card(drive, folder, options)
         for name in (LAW, *MODELS):
             if (folder / name).exists():
                 write_atomically(fresh / name, (folder / name).read_bytes())
         write_curves(fresh, drive.curves.without_recordings())
         write_atomically(fresh / TEMPLATE, write_template(drive.bench).encode())
-        save_portraits(fresh / PICTURE, content["card"]["name"], drive.result, drive.curves)
+        save_portraits(fresh / PICTURE, result.card.name, drive.result, drive.curves)
         hashes = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(fresh.iterdir())}
-        content["card"]["files"] = {RESULT: hash_record(content), **hashes}
-        refuse_invalid(fresh / RESULT, content, read_schema())
-        write_atomically(fresh / PAGE, _render_page(content, drive).encode())
-        write_json(fresh / RESULT, content)
+        result.card.files = {RESULT: hash_record(result), **hashes}
+        write_atomically(fresh / PAGE, _render_page(result, drive).encode())
+        write_json(fresh / RESULT, to_json(result))
     return place, [
         f"{path}: contains the path {text} of the robot file; remove it from that file before you publish"
         for path in (place / name for name in MODELS if (place / name).exists())
@@ -108,33 +107,33 @@ def _refuse_invalid(options: Mapping[str, str]) -> None:
         raise ConfigError(f"{present}={options[present]}: {missing} is missing; give {hint}")
 
 
-def describe_card(drive: FittedDrive, folder: Path, stated: Mapping[str, str]) -> dict[str, Any]:
-    """Return the `result.json` of a card: the run's, without paths and with the section `card`, still without hashes.
+def describe_card(drive: FittedDrive, folder: Path, stated: Mapping[str, str]) -> Result:
+    """Return the record of a card: the run's, without paths and with the section `card`, still without hashes.
 
     Raises:
         ConfigError: The values differ from the file that `stated["bam"]` names.
     """
-    result: dict[str, Any] = copy.deepcopy(cast(dict[str, Any], drive.result))
+    result = copy.deepcopy(drive.result)
     options = read_begun(folder, "overrides")
     command = None if options is None else shlex.join(["frictionzoo", *map(str, options)])
     paths = {*list_paths_of(result, command), str(folder.absolute()), str(folder.resolve())}
-    result["verdict"]["commands"] = []  # they refer to the run's folder
-    result["settings"]["bench"] = describe_bench(drive.bench, result["settings"]["bench"])
-    for log in result["data"]["logs"]:
-        log["name"] = last_of(log["name"])
-    result["card"] = {
-        "name": stated.get("name", f"{result['data']['name']}, {result['model']}"),
-        "licence": stated["licence"],
-        "conditions": {
+    result.verdict.commands = []  # they refer to the run's folder
+    result.settings["bench"] = describe_bench(drive.bench, result.settings["bench"])
+    for log in result.data.logs:
+        log.name = last_of(log.name)
+    result.card = Card(
+        name=stated.get("name", f"{result.data.name}, {result.model}"),
+        licence=stated["licence"],
+        conditions=Conditions(
             **{name: stated.get(name) for name in STATED},
-            "visited": _list_visited(drive),
-            "fastest": float(np.abs(drive.curves.velocity).max()),
-        },
-        "origin": _read_origin(drive, stated),
-        "command": command,
-        "files": {},
-    }
-    return without_paths(to_json(result), paths, drive.bench.joints)
+            visited=_list_visited(drive),
+            fastest=float(np.abs(drive.curves.velocity).max()),
+        ),
+        origin=_read_origin(drive, stated),
+        command=command,
+        files={},
+    )
+    return msgspec.convert(without_paths(to_json(result), paths, drive.bench.joints), Result)
 
 
 def describe_bench(bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -167,22 +166,22 @@ def write_template(bench: Bench) -> str:
     return text
 
 
-def _list_visited(drive: FittedDrive) -> list[VisitedRow]:
+def _list_visited(drive: FittedDrive) -> list[Visited]:
     segments = drive.recorded
     position, speed = np.concatenate(segments.qpos), np.abs(np.concatenate(segments.qvel))
     torque = np.abs(drive.samples.motor_torque)
     return [
-        {
-            "joint": joint,
-            "position": [float(position[:, index].min()), float(position[:, index].max())],
-            "speed": float(speed[:, index].max()),
-            "torque": float(torque[:, index].max()),
-        }
+        Visited(
+            joint=joint,
+            position=[float(position[:, index].min()), float(position[:, index].max())],
+            speed=float(speed[:, index].max()),
+            torque=float(torque[:, index].max()),
+        )
         for index, joint in enumerate(drive.bench.joints)
     ]
 
 
-def _read_origin(drive: FittedDrive, options: Mapping[str, str]) -> PublishedRow | None:
+def _read_origin(drive: FittedDrive, options: Mapping[str, str]) -> Published | None:
     """Return the origin of a drive whose values come from the BAM parameter file `bam`; None without such a file.
 
     Raises:
@@ -193,12 +192,12 @@ def _read_origin(drive: FittedDrive, options: Mapping[str, str]) -> PublishedRow
         return None
     path = Path(options["bam"])
     published = read_bam(path)
-    if (method := drive.result["fit"]["method"]) != "known":
+    if (method := drive.result.fit.method) != "known":
         raise ConfigError(
             f"bam={path}: the run identified its values (fit={method}), expected the file's values; run it with "
             f"$(python -m frictionzoo.bench.read_bam {path})"
         )
-    if drive.result["model"] != published.model:
+    if drive.result.model != published.model:
         raise ConfigError(
             f"bam={path}: its model is {published.model}, the run's {drive.result['model']}; name the run's own file"
         )
@@ -209,20 +208,19 @@ def _read_origin(drive: FittedDrive, options: Mapping[str, str]) -> PublishedRow
         run_values = drive.parameters[name].value.tolist() if name in drive.parameters else [0.0]
         if not all(math.isclose(run_value, value, rel_tol=_ROUNDED) for run_value in run_values):
             raise ConfigError(f"bam={path}: {name} is {value:g}, in the run {run_values[0]:g}; name the run's own file")
-    return {
-        "project": "BAM",
-        "file": path.name,
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        "drive": published.actuator,
-        "law": published.bam,
-        "source": options["source"],
-        "remarks": list(published.remarks),
-    }
+    return Published(
+        project="BAM",
+        file=path.name,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        drive=published.actuator,
+        law=published.bam,
+        source=options["source"],
+        remarks=list(published.remarks),
+    )
 
 
-def _render_page(content: dict[str, Any], drive: FittedDrive) -> str:
+def _render_page(result: Result, drive: FittedDrive) -> str:
     """Render the card's page in Markdown, with the metadata header for model hubs."""
-    result = cast(Result, content)
     joints: dict[str, list[str]] = {}
     texts: dict[str, str] = {}
     for index, joint in enumerate(drive.bench.joints):
@@ -241,7 +239,7 @@ def _render_page(content: dict[str, Any], drive: FittedDrive) -> str:
         "fence": _write_fence,
     }
     page = open_template("report/card.md.jinja", filters)
-    return page.render(card=content["card"], result=result, laws=laws, picture=PICTURE, files=FILES, **tables)
+    return page.render(card=result.card, result=result, laws=laws, picture=PICTURE, files=FILES, **tables)
 
 
 def _write_name(text: str) -> str:

@@ -9,7 +9,7 @@ from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.run_page import list_uses
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
-from frictionzoo.result.comparison.types import Comparison, PairRow
+from frictionzoo.result.comparison.types import Comparison, Pair
 from frictionzoo.result.names import name_some
 from frictionzoo.result.verdict import is_usable
 
@@ -25,14 +25,14 @@ class Step(NamedTuple):
 
 
 def check_order(comparison: Comparison) -> Finding:
-    """Check whether the best run is better than the others by more than noise."""
-    best, *others = (entry["label"] for entry in comparison["runs"])
-    if comparison["recommendation"] is None:
+    """Finding whether the best run is better than the others by more than noise."""
+    best, *others = (entry.label for entry in comparison.runs)
+    if comparison.recommendation is None:
         return Finding("bad", "Ranking", "No ranking: every test rollout of every run diverged.")
     if not others:
         return Finding("note", "Ranking", "Only one run: nothing to compare.")
     pairs = _pairs_with_best(comparison)
-    close = [label for label in others if pairs[label]["verdict"] == "noise"]
+    close = [label for label in others if pairs[label].verdict == "noise"]
     if close:
         text = f"Within noise of the best run, {best}: {name_some(close)}. These data show no relevant difference"
         return Finding("note", "Ranking", f"{text}; the simplest run is recommended.")
@@ -40,22 +40,22 @@ def check_order(comparison: Comparison) -> Finding:
     return Finding("good", "Ranking", text)
 
 
-def _pairs_with_best(comparison: Comparison) -> dict[str, PairRow]:
-    best = comparison["runs"][0]["label"]
-    return {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == best}
+def _pairs_with_best(comparison: Comparison) -> dict[str, Pair]:
+    best = comparison.runs[0].label
+    return {pair.run: pair for pair in comparison.pairs if pair.other == best}
 
 
 def _say_next(comparison: Comparison) -> str:
-    best, second = comparison["runs"][:2]
-    pair, error = _pairs_with_best(comparison)[second["label"]], best["test"]["position_mae"]
-    if not error or pair["mean"] is None or pair["low"] is None or pair["high"] is None:
-        return f"More test rollouts of the second, {second['label']}, diverged."
-    ratios = [ratio / error for ratio in (pair["mean"], pair["low"], pair["high"])]
+    best, second = comparison.runs[:2]
+    pair, error = _pairs_with_best(comparison)[second.label], best.test.position_mae
+    if not error or pair.mean is None or pair.low is None or pair.high is None:
+        return f"More test rollouts of the second, {second.label}, diverged."
+    ratios = [ratio / error for ratio in (pair.mean, pair.low, pair.high)]
     if ratios[0] < 1:
         mean, low, high = map(say_percent, ratios)
-        return f"The error of the second, {second['label']}, is {mean} larger (95 % interval {low} to {high})."
+        return f"The error of the second, {second.label}, is {mean} larger (95 % interval {low} to {high})."
     mean, low, high = (f"{1 + ratio:.2g}" for ratio in ratios)
-    return f"The error of the second, {second['label']}, is {mean} times as large (95 % interval {low} to {high})."
+    return f"The error of the second, {second.label}, is {mean} times as large (95 % interval {low} to {high})."
 
 
 def list_steps_to_use(run: Run, place: str) -> list[str]:
@@ -67,19 +67,19 @@ def list_steps_to_use(run: Run, place: str) -> list[str]:
         "drive = compared.recommended  # compared = fz.compare(...)",
         "drive.parameters, drive.rollout()",
         *(['drive.export("mjcf", "export")'] if usable else []),
-        f'drive.save("{run.result["model"]}")',
+        f'drive.save("{run.result.model}")',
     ]
 
 
 def list_next_steps(comparison: Comparison, chosen: Run) -> list[Step]:
     """Return next steps: repair, compare with more rollouts, try another model, record again, inspect the data."""
-    commands = {row["kind"]: row["command"] for row in reversed(chosen.result["verdict"]["commands"])}
+    commands = {row.kind: row.command for row in reversed(chosen.result.verdict.commands)}
     command, steps = commands.get("law", ""), list[Step]()
     if repair := commands.get("repair"):
         steps.append(Step("Repair the problem that its run found", repair))
     if sweep := _judge_again(comparison, command):
         steps.append(Step("Compare the runs within noise on more rollouts", sweep))
-    models = {entry["model"] for entry in comparison["runs"]}
+    models = {entry.model for entry in comparison.runs}
     if command and not any(f" model={model} " in f"{command} " or f"bench, {model!r}" in command for model in models):
         steps.append(Step("Try another model", command))
     if recording := commands.get("recording"):
@@ -91,20 +91,20 @@ def list_next_steps(comparison: Comparison, chosen: Run) -> list[Step]:
 
 def _judge_again(comparison: Comparison, command: str) -> str:
     """Return a sweep, with options of `command`, of runs within noise on more rollouts; empty if it cannot help."""
-    best = comparison["runs"][0]
-    matters = MATTERS * (best["test"]["position_mae"] or 0.0)
+    best = comparison.runs[0]
+    matters = MATTERS * (best.test.position_mae or 0.0)
     close = [label for label, pair in _pairs_with_best(comparison).items() if _is_open(pair, matters)]
-    models = {entry["label"]: entry["model"] for entry in comparison["runs"]}
+    models = {entry.label: entry.model for entry in comparison.runs}
     words = shlex.split(command)
     # Two runs of one model differ in options that this command does not contain.
-    if not close or words[:3] != _RUN or any(models[label] != label for label in (best["label"], *close)):
+    if not close or words[:3] != _RUN or any(models[label] != label for label in (best.label, *close)):
         return ""
     options = [option for option in words[3:] if not option.startswith(("model=", "model.", "evaluation.rollouts="))]
-    more = f"evaluation.rollouts={MORE * comparison['evaluation']['rollouts']}"
-    return shlex.join([*_RUN, "-m", *options, f"model={','.join([best['label'], *close])}", more])
+    more = f"evaluation.rollouts={MORE * comparison.evaluation.rollouts}"
+    return shlex.join([*_RUN, "-m", *options, f"model={','.join([best.label, *close])}", more])
 
 
-def _is_open(pair: PairRow, matters: float) -> bool:
+def _is_open(pair: Pair, matters: float) -> bool:
     """Return whether more rollouts might reveal a relevant difference between two runs."""
-    ends = [abs(end) for end in (pair["low"], pair["high"]) if end is not None]
-    return pair["verdict"] == "noise" and max(ends, default=0.0) > matters
+    ends = [abs(end) for end in (pair.low, pair.high) if end is not None]
+    return pair.verdict == "noise" and max(ends, default=0.0) > matters

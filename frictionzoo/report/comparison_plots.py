@@ -31,9 +31,9 @@ from frictionzoo.report.run_plots import COLUMNS, REPORTED
 from frictionzoo.report.text import format_digits, format_number, format_unit, say_origin, wrap
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
-from frictionzoo.result.comparison.types import Comparison, PairRow
+from frictionzoo.result.comparison.types import Comparison, Pair
 from frictionzoo.result.names import pick_value, place_between_bounds
-from frictionzoo.result.types import MetricsRow, ParameterRow
+from frictionzoo.result.types import Metrics, Parameter
 
 # Seven dash patterns and six colours: each combination occurs once in 42 runs, and neighbours differ in both.
 _BROKEN: tuple[Dash, ...] = ((6.0, 2.0, 1.2, 2.0), (3.5, 1.3, 1.2, 1.3, 1.2, 1.3), (9.0, 3.0), (2.4, 3.5))
@@ -65,9 +65,9 @@ def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[st
 def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
     """Return all figures of several runs by name; an empty list if there is nothing to show."""
     by_label = {run.label: run for run in runs}
-    ranked = [by_label[entry["label"]] for entry in comparison["runs"]]
-    speed = Axis("mean absolute speed", comparison["velocity_unit"])
-    load = Axis("mean absolute motor torque", comparison["torque_unit"])
+    ranked = [by_label[entry.label] for entry in comparison.runs]
+    speed = Axis("mean absolute speed", comparison.velocity_unit)
+    load = Axis("mean absolute motor torque", comparison.torque_unit)
     return {
         "parameters": list(_plot_parameters(comparison, ranked)),
         "mae": [_plot_errors(comparison)],
@@ -97,38 +97,38 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
 
 def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
     """Return the sheet of each file; an empty figure has a sheet without figures."""
-    plots, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
-    data = f"{comparison['data']['name']} ({say_origin(comparison['data']['origin'])})"
+    plots, evaluation, joints = plot_comparison(comparison, runs), comparison.evaluation, len(comparison.joints)
+    data = f"{comparison.data.name} ({say_origin(comparison.data.origin)})"
     fits = f"Fits to the training part of {data}\nred: the reported iteration and its values; axis from the lower "
     fits += "to the upper bound of each parameter, logarithmic if both are positive"
     single = f"One rollout of the test part of {data}"
-    window = f"moving mean and standard deviation over {runs[0].result['evaluation']['window']:g} s"
-    short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"
-    long = f"Mean over {evaluation['long_rollouts']} rollouts of the test part of {data}"
-    windows = sum(comparison["by_speed"]["windows"])
+    window = f"moving mean and standard deviation over {runs[0].result.evaluation.window:g} s"
+    short = f"{evaluation.rollouts} rollouts of {evaluation.horizon:g} s, {data}"
+    long = f"Mean over {evaluation.long_rollouts} rollouts of the test part of {data}"
+    windows = sum(comparison.by_speed.windows)
     local = f"{windows} short rollouts over the test part of {data}, in bins of equal count"
     friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, if friction depends on more"
-    names = max((len(figure.panels[0].marks) // 2 for figure in plots["parameters"]), default=0)
+    names = max((len(figure.panels[0].marks) // 2 for figure in plots.parameters), default=0)
     rows = (plots["mae"][0].height or 0) / PIXELS
     columns = min(joints, COLUMNS)
     return {
         "figure3_parameters": Sheet(
-            fits, plots["parameters"], 2.1 + with_matplotlib.LINE * names, 2 if joints == 1 else columns, apart=True
+            fits, plots.parameters, 2.1 + with_matplotlib.LINE * names, 2 if joints == 1 else columns, apart=True
         ),
         "figure4_trajectories": Sheet(single, plots["trajectories"], 5.4, columns, headings=True),
-        "figure5_error": Sheet(f"{single}\n{window}", plots["error"], 3.4),
+        "figure5_error": Sheet(f"{single}\n{window}", plots.error, 3.4),
         "figure6_mae": Sheet(f"{short}\nmean and standard deviation over rollouts", plots["mae"], rows),
-        "error_by_horizon": Sheet(long, plots["by_horizon"], 3.0),
-        "error_by_speed": Sheet(local, plots["by_speed"], 3.0),
-        "error_by_load": Sheet(local, plots["by_load"], 3.0),
-        "friction": Sheet(f"{friction} than the velocity", plots["friction"], 3.2, columns, headings=True),
-        "autocorrelation": Sheet(long, plots["autocorrelation"], 3.0),
-        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", plots["differences"], rows),
+        "error_by_horizon": Sheet(long, plots.by_horizon, 3.0),
+        "error_by_speed": Sheet(local, plots.by_speed, 3.0),
+        "error_by_load": Sheet(local, plots.by_load, 3.0),
+        "friction": Sheet(f"{friction} than the velocity", plots.friction, 3.2, columns, headings=True),
+        "autocorrelation": Sheet(long, plots.autocorrelation, 3.0),
+        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", plots.differences, rows),
     }
 
 
 def _looks(comparison: Comparison) -> dict[str, Look]:
-    return choose_looks((run["label"] for run in comparison["runs"]), comparison["reference"])
+    return choose_looks((run.label for run in comparison.runs), comparison.reference)
 
 
 def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
@@ -138,12 +138,12 @@ def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
 
 def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
     """Yield figure 3 for each run and joint: parameters over the iterations, between their bounds as units differ."""
-    joints, looks = comparison["joints"], _looks(comparison)
+    joints, looks = comparison.joints, _looks(comparison)
     for run in (run for run in runs if _identified(run)):
         for joint, name in enumerate(joints):
             where = f", {name}" if len(joints) > 1 else ""
-            network = f" ({run.result['network']['weights']} weights not shown)" if run.result["network"] else ""
-            grid = run.result["fit"]["method"] == "grid"
+            network = f" ({run.result.network.weights} weights not shown)" if run.result.network else ""
+            grid = run.result.fit.method == "grid"
             marks = _draw_parameters(run, name, joint, looks[run.label]["color"])
             first, last = (float(end) for end in run.curves.history["iteration"][[0, -1]])
             room = 0.02 * (last - first) + 0.5
@@ -152,8 +152,8 @@ def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Fi
 
 
 def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
-    history, fit = run.curves.history, run.result["fit"]
-    grid, best = fit["method"] == "grid", float(fit["best_iteration"])
+    history, fit = run.curves.history, run.result.fit
+    grid, best = fit.method == "grid", float(fit.best_iteration)
     loss = np.where(np.isnan(history["loss"]), np.inf, history["loss"])
     better = np.flatnonzero(loss < np.concatenate([[np.inf], np.minimum.accumulate(loss)[:-1]]))
     shown = better if grid else slice(None)
@@ -163,51 +163,51 @@ def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
         if (row := pick_value(parameter, name)) is None:
             continue
         curve = np.reshape(history[key], (len(history["iteration"]), -1))[shown, joint].astype(np.float64)
-        curve, reached = (100 * place_between_bounds(row, values) for values in (curve, np.array([row["value"]])))
+        curve, reached = (100 * place_between_bounds(row, values) for values in (curve, np.array([row.value])))
         points = {"width": 0.0, "marker": MARKERS[i % len(MARKERS)], "size": 5.0}
         look: dict[str, Any] = points if grid else {"dash": DASHES[i % len(DASHES)]}
-        label = f"{parameter['name']} = {row['value']:.4g} {format_unit(parameter['unit'])}".rstrip()
+        label = f"{parameter.name} = {row.value:.4g} {format_unit(parameter.unit)}".rstrip()
         marks.append(Curve(x=iteration, y=curve, name=label, color=color, **look))
         marks.append(Curve(x=np.array([best]), y=reached, **REPORTED))
     return marks
 
 
-def _identified(run: Run) -> dict[str, ParameterRow]:
+def _identified(run: Run) -> dict[str, Parameter]:
     """Return the identified parameters that have a history, by their names in it."""
-    parameters = {f"{parameter['owner']}.{parameter['name']}": parameter for parameter in run.result["parameters"]}
-    return {key: value for key, value in parameters.items() if value["identified"] and key in run.curves.history}
+    parameters = {f"{parameter.owner}.{parameter.name}": parameter for parameter in run.result.parameters}
+    return {key: value for key, value in parameters.items() if value.identified and key in run.curves.history}
 
 
 def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
     """Yield figure 4 for each joint: measured and simulated position and velocity in the first long test rollout."""
-    drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
+    drives, timestep = _list_drives(comparison, runs), comparison.data.timestep
     duration = timestep * (runs[0].curves.measured_qpos.shape[1] - 1)
-    for joint, name in enumerate(comparison["joints"]):
-        panels = draw_motion(drives, joint, timestep, (comparison["unit"], comparison["velocity_unit"]))
-        place = say_where(comparison["data"], runs[0].curves, 0) or "test data"
+    for joint, name in enumerate(comparison.joints):
+        panels = draw_motion(drives, joint, timestep, (comparison.unit, comparison.velocity_unit))
+        place = say_where(comparison.data, runs[0].curves, 0) or "test data"
         text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of {place}. "
         text += "The command is the same for all runs."
         yield Figure(f"Trajectory of {name}", text, panels, time=True)
 
 
 def _list_drives(comparison: Comparison, runs: Sequence[Run]) -> list[Drive]:
-    looks, reference = _looks(comparison), comparison["reference"]
+    looks, reference = _looks(comparison), comparison.reference
     return [Drive(run.curves, looks[run.label], reference=run.label == reference) for run in runs]
 
 
 def _plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
     """Return figure 5: moving mean +- one standard deviation of the position error in the first long test rollout."""
-    window = runs[0].result["evaluation"]["window"]
+    window = runs[0].result.evaluation.window
     text = f"Moving mean over {window:g} s of the absolute position error in the same rollout. "
     text += "Band: one standard deviation, for the selected run."
-    drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
-    (panel,) = draw_errors([drives], timestep, window, comparison["unit"])
+    drives, timestep = _list_drives(comparison, runs), comparison.data.timestep
+    (panel,) = draw_errors([drives], timestep, window, comparison.unit)
     return Figure("Error over time", text, (panel,), time=True)
 
 
 def _plot_errors(comparison: Comparison) -> Figure:
     """Return figure 6: MAE and sigma on test and training data, two bars per run."""
-    entries, unit, looks = comparison["runs"], comparison["unit"], _looks(comparison)
+    entries, unit, looks = comparison.runs, comparison.unit, _looks(comparison)
     key, ends = {"at": np.zeros(1), "length": np.full(1, np.nan), "notes": ("",)}, [0.0]
     marks: list[Mark] = []
     for part, offset in (("test", -0.2), ("train", 0.2)):
@@ -217,22 +217,22 @@ def _plot_errors(comparison: Comparison) -> Figure:
             mean, spread = (_numbers([entry[part][key]]) for key in ("position_mae", "position_mae_std"))
             notes = (f"{part} {_say_error(entry[part])}",)
             bar = {"at": np.array([i + offset]), "length": mean, "spread": spread, "notes": notes}
-            marks.append(Bars(**bar, **shared, **looks[entry["label"]]))
+            marks.append(Bars(**bar, **shared, **looks[entry.label]))
             ends.append(float((mean + spread)[0]))
     labels, x = [*looks], Axis("position MAE", unit, limits=(0.0, 1.05 * _limit(np.array(ends), FLATTENED)))
     text = (
         f"Bars: position MAE on test data [{unit}]; whiskers: its sigma; pale: training data. "
-        f"From {format_number(entries[0]['test']['position_mae'])} ({labels[0]}) to "
-        f"{format_number(entries[-1]['test']['position_mae'])} ({labels[-1]})."
+        f"From {format_number(entries[0].test.position_mae)} ({labels[0]}) to "
+        f"{format_number(entries[-1].test.position_mae)} ({labels[-1]})."
     )
     return _arrange_rows("Error of each run", text, marks, x, labels)
 
 
-def _say_error(metrics: MetricsRow) -> str:
-    mean, spread = metrics["position_mae"], metrics["position_mae_std"]
+def _say_error(metrics: Metrics) -> str:
+    mean, spread = metrics.position_mae, metrics.position_mae_std
     if mean is None or spread is None:
         return "all diverged"
-    diverged = f", {metrics['diverged']} of {metrics['rollouts']} diverged" if metrics["diverged"] else ""
+    diverged = f", {metrics.diverged} of {metrics.rollouts} diverged" if metrics.diverged else ""
     return f"{format_digits(mean, 3)} ± {format_digits(spread, 2)}{diverged}"
 
 
@@ -250,20 +250,20 @@ def _arrange_rows(title: str, text: str, marks: Sequence[Mark], x: Axis, labels:
 
 
 def _plot_differences(comparison: Comparison) -> Figure:
-    looks, unit = _looks(comparison), comparison["unit"]
+    looks, unit = _looks(comparison), comparison.unit
     labels = [*looks]
-    pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == labels[0]}
+    pairs = {pair.run: pair for pair in comparison.pairs if pair.other == labels[0]}
     marks: list[Mark] = [Stripe(low=0.0, high=0.0, color=SOFT)]
     for i, label in enumerate(labels):
         pair = pairs.get(label)
-        marker = "diamond" if pair is None else "circle-open" if pair["verdict"] == "noise" else "circle"
+        marker = "diamond" if pair is None else "circle-open" if pair.verdict == "noise" else "circle"
         x, *ends = (_numbers([pair[key] if pair else 0.0]) for key in ("mean", "low", "high"))
         note = _say_difference(pair) if pair else "best"
         point = {"width": 0.0, "marker": marker, "size": 10.0, "notes": (note,)}
         marks.append(Curve(x=x, y=np.array([float(i)]), ends=np.array(ends), **looks[label], **point))
     text = (
         f"Difference to {labels[0]} with its 95 % interval, from a paired bootstrap over "
-        f"{comparison['evaluation']['rollouts']} test rollouts. Open circles: noise, the interval contains 0 or the "
+        f"{comparison.evaluation.rollouts} test rollouts. Open circles: noise, the interval contains 0 or the "
         f"difference is below {100 * MATTERS:g} % of the error."
     )
     low, high = (np.array([0.0, *_numbers(pair[end] for pair in pairs.values())]) for end in ("low", "high"))
@@ -273,21 +273,21 @@ def _plot_differences(comparison: Comparison) -> Figure:
     return _arrange_rows("Differences to the best run", text, marks, x_axis, labels)
 
 
-def _say_difference(pair: PairRow) -> str:
-    numbers = [format_digits(end, 2) for end in (pair["mean"], pair["low"], pair["high"]) if end is not None]
+def _say_difference(pair: Pair) -> str:
+    numbers = [format_digits(end, 2) for end in (pair.mean, pair.low, pair.high) if end is not None]
     interval = f"{numbers[0]} [{numbers[1]}, {numbers[2]}]" if len(numbers) == 3 else "diverged"
-    return f"{interval}, {pair['verdict']}"
+    return f"{interval}, {pair.verdict}"
 
 
 def _plot_by_horizon(comparison: Comparison) -> Figure:
-    rollouts, horizon = comparison["evaluation"]["long_rollouts"], comparison["evaluation"]["long_horizon"]
+    rollouts, horizon = comparison.evaluation.long_rollouts, comparison.evaluation.long_horizon
     text = f"Mean position error over the first seconds of {rollouts} test rollouts of {horizon:g} s."
     panel = _draw_errors_over(comparison, "by_horizon", Axis("horizon", "s"))
     return Figure("Error by horizon", text, (panel,))
 
 
 def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"], title: str, axis: Axis) -> Figure:
-    windows = comparison[section]["windows"]
+    windows = comparison[section].windows
     text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label} with"
     return Figure(title, f"{text} equal counts.", (_draw_errors_over(comparison, section, axis, "circle"),))
 
@@ -295,39 +295,39 @@ def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"]
 def _draw_errors_over(
     comparison: Comparison, section: Literal["by_horizon", "by_speed", "by_load"], axis: Axis, marker: str = ""
 ) -> Panel:
-    x = _numbers(comparison["by_horizon"]["horizon"] if section == "by_horizon" else comparison[section]["centre"])
-    errors = {label: _numbers(values) for label, values in comparison[section]["position_mae"].items()}
+    x = _numbers(comparison.by_horizon.horizon if section == "by_horizon" else comparison[section].centre)
+    errors = {label: _numbers(values) for label, values in comparison[section].position_mae.items()}
     points: dict[str, Any] = {"marker": "circle" if len(x) == 1 else marker, "size": 5.0}
     marks = [Curve(x=x, y=errors[label], **points, **look) for label, look in _looks(comparison).items()]
-    y = scale_errors("position MAE", comparison["unit"], list(errors.values()), (), RUNAWAY)
+    y = scale_errors("position MAE", comparison.unit, list(errors.values()), (), RUNAWAY)
     shown = replace(axis, limits=(0.0, 1.02 * float(x.max(initial=0.0)) or 1.0))
     return Panel(marks, shown, y, say_above(marks, y))
 
 
 def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
-    for joint, name in enumerate(comparison["joints"]):
+    for joint, name in enumerate(comparison.joints):
         marks: list[Mark] = [Stripe(low=0.0, high=0.0, level=True, color=GRID)]
         for label, look in _looks(comparison).items():
-            law = comparison["friction"][label]
+            law = comparison.friction[label]
             torque, low, high = (_numbers(law[part][joint]) for part in ("torque", "low", "high"))
-            velocity = _numbers(law["velocity"])
+            velocity = _numbers(law.velocity)
             if np.isfinite([low, high]).all() and not np.array_equal(low, high):
                 marks.append(Band(x=velocity, low=low, high=high, **look))
             marks.append(Curve(x=velocity, y=torque, **look))
-        x, y = Axis("velocity", comparison["velocity_unit"]), Axis("friction", comparison["torque_unit"])
+        x, y = Axis("velocity", comparison.velocity_unit), Axis("friction", comparison.torque_unit)
         text = f"Friction torque of each run at joint {name}, opposing the velocity. If it depends on more than the "
         text += "velocity, the curve is the median over recorded states and the band contains 80 % of them."
         yield Figure(f"Friction of {name}", text, (Panel(marks, x, y),))
 
 
 def _plot_autocorrelation(comparison: Comparison) -> Figure:
-    section = comparison["autocorrelation"]
-    lag, band = _numbers(section["lag"]), section["band"]
+    section = comparison.autocorrelation
+    lag, band = _numbers(section.lag), section.band
     noise = {"level": True, "name": "white noise, 95 %", "color": SOFT, "opacity": 0.3}
-    coefficients = ((look, section["coefficient"][label]) for label, look in _looks(comparison).items())
+    coefficients = ((look, section.coefficient[label]) for label, look in _looks(comparison).items())
     curves = [Curve(x=lag, y=_numbers(coefficient), **look) for look, coefficient in coefficients]
     text = "Autocorrelation of the position error: a complete model leaves white noise, within the grey "
-    text += f"band (±{band:.2g}). Mean over {comparison['evaluation']['long_rollouts']} long test rollouts."
+    text += f"band (±{band:.2g}). Mean over {comparison.evaluation.long_rollouts} long test rollouts."
     marks = [Stripe(low=-band, high=band, **noise), *curves]
     panel = Panel(marks, Axis("lag", "s"), Axis("autocorrelation of the error", "1"))
     return Figure("Autocorrelation of the error", text, (panel,))
@@ -337,14 +337,14 @@ def _plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
     marks: list[Curve] = []
     looks = _looks(comparison)
     for run in runs:
-        fit, history, look = run.result["fit"], run.curves.history, looks[run.label]
+        fit, history, look = run.result.fit, run.curves.history, looks[run.label]
         iteration, loss = history["iteration"].astype(np.float64), history["loss"]
-        loss = np.fmin.accumulate(loss) if fit["method"] == "grid" else loss
-        reported = iteration == fit["best_iteration"]
+        loss = np.fmin.accumulate(loss) if fit.method == "grid" else loss
+        reported = iteration == fit.best_iteration
         marks.append(Curve(x=iteration, y=loss, **look))
         marks.append(Curve(x=iteration[reported], y=loss[reported], **{**REPORTED, **look, "name": ""}))
     text = "Training loss over the iterations; the reported iteration is marked. Grid search: lowest loss so far."
-    if any(entry["option"].startswith(("loss.", "segments.")) for entry in comparison["differences"]):
+    if any(entry.option.startswith(("loss.", "segments.")) for entry in comparison.differences):
         text += " Runs with different segments or losses are not comparable here."
     y = scale_values("training loss", "", np.concatenate([mark.y for mark in marks]), apart=10.0)
     return Figure("Training loss", text, (Panel(marks, Axis("iteration"), y),))

@@ -4,7 +4,7 @@ import math
 
 from frictionzoo.report.text import say_origin
 from frictionzoo.result.comparison.statistics import MATTERS
-from frictionzoo.result.comparison.types import Comparison, RunRow
+from frictionzoo.result.comparison.types import ComparedRun, Comparison
 
 SPECIAL = str.maketrans(
     {
@@ -28,10 +28,10 @@ RECOMMENDED, NOISE, NONE = r"$^{\ast}$", r"$^{\dagger}$", "--"
 def tabulate_latex(comparison: Comparison) -> str:
     r"""Return a `table` of the runs' errors for `\input` in a document that loads `booktabs`."""
     # The exponent is a multiple of 3 that scales the lowest test error to between 1 and 1000.
-    lowest = min((error for run in comparison["runs"] if (error := run["test"]["position_mae"])), default=1.0)
+    lowest = min((error for run in comparison.runs if (error := run.test.position_mae)), default=1.0)
     exponent = 3 * math.floor(math.log10(lowest) / 3)
-    rows = [_tabulate_run(run, exponent, comparison) for run in comparison["runs"]]
-    unit = rf"$10^{{{exponent}}}$ {comparison['unit']}" if exponent else comparison["unit"]
+    rows = [_tabulate_run(run, exponent, comparison) for run in comparison.runs]
+    unit = rf"$10^{{{exponent}}}$ {comparison.unit}" if exponent else comparison.unit
     lines = [
         r"% needs \usepackage{booktabs}",
         r"\begin{table}",
@@ -59,28 +59,28 @@ def escape(text: str) -> str:
     return "".join(filter(str.isprintable, line)).translate(SPECIAL)
 
 
-def _tabulate_run(run: RunRow, exponent: int, comparison: Comparison) -> str:
-    train, test = (_scale(run[part]["position_mae"], exponent) for part in ("train", "test"))
+def _tabulate_run(run: ComparedRun, exponent: int, comparison: Comparison) -> str:
+    train, test = (_scale(run[part].position_mae, exponent) for part in ("train", "test"))
     if test != NONE:
-        test = f"{test} ({_scale(run['test']['position_mae_std'], exponent)})"
-    chosen, change = comparison["recommendation"], run["change"]["test"]
+        test = f"{test} ({_scale(run.test.position_mae_std, exponent)})"
+    chosen, change = comparison.recommendation, run.change.test
     cells = [
-        escape(run["label"]) + _mark(run["label"], comparison),
-        str(run["identified"]),
+        escape(run.label) + _mark(run.label, comparison),
+        str(run.identified),
         train,
-        rf"\textbf{{{test}}}" if chosen and run["label"] == chosen["best"] else test,
-        NONE if change is None or run["label"] == comparison["reference"] else f"${100 * change:+.0f}$",
-        f"{run['timing']['fit']:.1f}",
+        rf"\textbf{{{test}}}" if chosen and run.label == chosen.best else test,
+        NONE if change is None or run.label == comparison.reference else f"${100 * change:+.0f}$",
+        f"{run.timing.fit:.1f}",
     ]
     return " & ".join(cells) + r" \\"
 
 
 def _mark(label: str, comparison: Comparison) -> str:
-    chosen = comparison["recommendation"]
+    chosen = comparison.recommendation
     if chosen is None:
         return ""
-    close = {(pair["run"], pair["other"]) for pair in comparison["pairs"] if pair["verdict"] == "noise"}
-    return (NOISE if (label, chosen["best"]) in close else "") + (RECOMMENDED if label == chosen["run"] else "")
+    close = {(pair.run, pair.other) for pair in comparison.pairs if pair.verdict == "noise"}
+    return (NOISE if (label, chosen.best) in close else "") + (RECOMMENDED if label == chosen.run else "")
 
 
 def _scale(error: float | None, exponent: int) -> str:
@@ -94,12 +94,12 @@ def _scale(error: float | None, exponent: int) -> str:
 
 
 def _describe(comparison: Comparison) -> str:
-    data, evaluation, reference = comparison["data"], comparison["evaluation"], comparison["reference"]
+    data, evaluation, reference = comparison.data, comparison.evaluation, comparison.reference
     against = escape(reference) if reference else "the same drive identified without friction"
     return (
-        f"Friction models identified from {escape(data['name'])} ({say_origin(data['origin'])}): mean absolute error "
-        f"(MAE) of the position in open-loop rollouts of {evaluation['horizon']:g}~s from measured states "
-        rf"({evaluation['rollouts']} on test data); $\sigma$: standard deviation over the rollouts. Change: test error "
+        f"Friction models identified from {escape(data.name)} ({say_origin(data.origin)}): mean absolute error "
+        f"(MAE) of the position in open-loop rollouts of {evaluation.horizon:g}~s from measured states "
+        rf"({evaluation.rollouts} on test data); $\sigma$: standard deviation over the rollouts. Change: test error "
         rf"against {against}. Fit: time without compilation. Bold: lowest test error; {NOISE}: within noise of it (the "
         rf"95~\% interval of the paired difference contains~0, or the difference is below {100 * MATTERS:g}~\% of the "
         rf"error); {RECOMMENDED}: recommended (fewest values within noise)."
@@ -108,15 +108,15 @@ def _describe(comparison: Comparison) -> str:
 
 def _notes(comparison: Comparison) -> list[str]:
     diverged = [
-        f"{escape(run['label'])}, {run[part]['diverged']} of {run[part]['rollouts']} on {part} data"
-        for run in comparison["runs"]
+        f"{escape(run.label)}, {run[part].diverged} of {run[part].rollouts} on {part} data"
+        for run in comparison.runs
         for part in ("train", "test")
-        if run[part]["diverged"]
+        if run[part].diverged
     ]
     failed = []
-    for failure in comparison["failures"]:
-        model = f" ({escape(failure['model'])})" if failure["model"] else ""
-        failed.append(f"{escape(failure['run'])}{model}: {escape(failure['reason'])}")
-    doubted = [escape(comparison["reference_doubt"])] if comparison["reference_doubt"] else []
+    for failure in comparison.failures:
+        model = f" ({escape(failure.model)})" if failure.model else ""
+        failed.append(f"{escape(failure.run)}{model}: {escape(failure.reason)}")
+    doubted = [escape(comparison.reference_doubt)] if comparison.reference_doubt else []
     notes = {"Diverged rollouts, excluded": diverged, "No result": failed, "Change": doubted}
     return [f"{title}: {'; '.join(entries)}." for title, entries in notes.items() if entries]

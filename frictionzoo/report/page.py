@@ -18,7 +18,7 @@ from frictionzoo.report.colors import DARK
 from frictionzoo.report.figure import Figure
 from frictionzoo.report.text import format_change, format_number, format_share, format_unit, say_origin
 from frictionzoo.result.names import label_values, merge_known, place_between_bounds, read_values
-from frictionzoo.result.types import ParameterRow, ValueRow
+from frictionzoo.result.types import Parameter, Value
 
 
 def render_page(
@@ -65,43 +65,43 @@ def pack_library(path: str) -> str:
     return pack(resources.files("frictionzoo.report").joinpath(*path.split("/")).read_text(encoding="utf-8"))
 
 
-def _overview(parameter: ParameterRow) -> dict[str, Any]:
+def _overview(parameter: Parameter) -> dict[str, Any]:
     """Summarise a parameter of several joints in one line: mean or range, and doubtful values."""
-    rows, first_row = [row for row in parameter["by_joint"] if row["identified"]], parameter["by_joint"][0]
+    rows, first_row = [row for row in parameter.by_joint if row.identified], parameter.by_joint[0]
     values = read_values(parameter)
     values = values[~np.isnan(values)]
-    ended = sum(row["at_bound"] for row in rows)
-    vague = sum(row["identifiable"] is False and not row["at_bound"] for row in rows)
+    ended = sum(row.at_bound for row in rows)
+    vague = sum(row.identifiable is False and not row.at_bound for row in rows)
     counts = (ended, "at a bound"), (vague, "not identifiable")
     low, high = format_number(float(values.min())), format_number(float(values.max()))
     spread = low if low == high else f"{low} to {high}"
     return {
         "value": format_number(float(values.mean())) if rows else spread,
-        "said": (_say_whose(first_row) if len(parameter["by_joint"]) == 1 else spread) if rows else "known",
+        "said": (_say_whose(first_row) if len(parameter.by_joint) == 1 else spread) if rows else "known",
         "doubt": ", ".join(label if len(rows) == 1 else f"{n} of {len(rows)} {label}" for n, label in counts if n),
     }
 
 
-def _say_whose(row: ValueRow) -> str:
-    return f"shared by {row['name']}" if len(row["joints"]) > 1 else row["name"]
+def _say_whose(row: Value) -> str:
+    return f"shared by {row.name}" if len(row.joints) > 1 else row.name
 
 
-def _place(row: ValueRow, value: float) -> float:
+def _place(row: Value, value: float) -> float:
     return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
 
 
-def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
+def _say_certainty(parameters: Sequence[Parameter]) -> str:
     """Return a sentence with the identifiable values of the widest and narrowest relative interval; empty for none."""
-    rows = {label: row for p in parameters for label, row in label_values(p).items() if row["identified"]}
+    rows = {label: row for p in parameters for label, row in label_values(p).items() if row.identified}
     width = {
-        label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
+        label: (row.interval[1] - row.interval[0]) / abs(2 * row.value)
         for label, row in rows.items()
-        if row["interval"] is not None and row["value"] and row["identifiable"] is not False
+        if row.interval is not None and row.value and row.identifiable is not False
     }
     if not width:
         return ""
     least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
-    scope = " of the identifiable values" if any(row["identifiable"] is False for row in rows.values()) else ""
+    scope = " of the identifiable values" if any(row.identifiable is False for row in rows.values()) else ""
     text = f"Least certain{scope}: {least}, ± {say_percent(width[least])}"
     return f"{text}; most certain: {most}, ± {say_percent(width[most])}." if most != least else f"{text}."
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from frictionzoo.report.figure import Axis, Band, Curve, Mark, Panel, frame, scale_errors
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import moving_mean_and_std
-from frictionzoo.result.types import DataRow
+from frictionzoo.result.types import Data
 
 LARGEST = 1e100  # limit of drawn positions [rad or m] and velocities
 RUNAWAY = 1000.0  # ratio of two drives' largest errors above which a logarithmic axis hides how the others differ
@@ -52,11 +52,11 @@ class Drive:
         return np.abs(self.follow("qpos") - self.measured("qpos")).mean(axis=1)
 
 
-def say_where(data: DataRow, curves: Curves, rollout: int) -> str:
+def say_where(data: Data, curves: Curves, rollout: int) -> str:
     """Return recording and start time of a long test rollout; empty if the run did not store them."""
     if not len(curves.begins):
         return ""
-    names = [log["name"] for log in data["logs"] if log["part"] == "test"]
+    names = [log.name for log in data.logs if log.part == "test"]
     return f"{names[int(curves.recording[rollout])]} from {curves.begins[rollout]:.4g} s on"
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from msgspec.structs import asdict, astuple, replace
 
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.jobs import read_begun
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.page import pack_library, render_page
 from frictionzoo.report.rollouts import say_where
@@ -18,7 +20,17 @@ from frictionzoo.report.run_plots import choose_rollouts, plot_run
 from frictionzoo.report.terminal import ERRORS
 from frictionzoo.report.text import format_change, format_number, format_share
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
+from frictionzoo.result.types import (
+    Data,
+    FitRecord,
+    JointErrors,
+    Metrics,
+    Parameter,
+    PartMetrics,
+    Result,
+    Timing,
+    Value,
+)
 from frictionzoo.result.verdict import doubt_reference, is_usable, judge, list_rollouts, say_finding, say_purposes
 
 TITLES = {
@@ -89,38 +101,40 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
     # A shared page must not reveal anyone's home directory; paths below the working directory become relative.
     place, command = str(folder.absolute()), say_command(folder)
     paths = {place, *list_paths_of(result, command)}
-    place, command, result = without_paths([place, command, result], paths, result["joints"], Path.cwd())
-    result["parameters"] = _add_starts(result["parameters"], result, curves)
-    joints = list_joints(result) if len(result["joints"]) > 1 else []
+    place, command, result = without_paths([place, command, result], paths, result.joints, Path.cwd())
+    courses = [(p, curves.history.get(f"{p.owner}.{p.name}")) for p in result.parameters]
+    result.parameters = [p if c is None else _add_starts(p, result.joints, c) for p, c in courses]
+    joints = list_joints(result) if len(result.joints) > 1 else []
     absent = {*(("friction", "left") if joints else ("joints",)), *([] if replay else ["replay"])}
-    metrics, timestep = result["metrics"], result["settings"].get("bench", {}).get("timestep")
+    metrics, timestep = result.metrics, result.settings.get("bench", {}).get("timestep")
     content = {
         "result": result,
-        "verdict": result["verdict"],
+        "verdict": result.verdict,
         "joints": joints,
         "links": [(key, text) for key, text in LINKS.items() if key not in absent],
         "place": place,
         "uses": list_uses(place, is_usable(result)),
         "usable": is_usable(result),
-        "purposes": say_purposes(result["verdict"]["commands"]),
+        "purposes": say_purposes(result.verdict.commands),
         "command": command,
         "step": f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file",
         "ranks": _say_ranks(curves),
         "shown": _say_shown(result, curves),
         "portrayed": PORTRAYED,
-        "correlations": [correlate(result, joint) for joint in result["joints"]],
+        "correlations": [correlate(result, joint) for joint in result.joints],
         "headline": _say_headline(result),
-        "errors": list(_compare_errors(metrics["test"], metrics["baseline"], metrics["test"])),
+        "errors": list(_compare_errors(metrics.test, metrics.baseline, metrics.test)),
         "evaluations": list(_list_evaluations(result)),
-        "timing": list_timing(result["timing"]),
+        "timing": list_timing(result.timing),
         "files": {name: text for name, text in FILES.items() if name == "result.json" or (folder / name).exists()},
-        "version": result["versions"]["frictionzoo"],
+        "version": result.versions.frictionzoo,
+        "versions": to_json(result.versions),
     }
     page = render_page(
         "report/run.html.jinja",
         plot_run(result, curves),
         list(check_result(result)),
-        points=max(LEAST, MOST // len(result["joints"])),
+        points=max(LEAST, MOST // len(result.joints)),
         state={"replay": replay},
         three=pack_library("three/three.min.js") if replay else "",
         **content,
@@ -135,7 +149,7 @@ def list_uses(place: str, usable: bool = True) -> list[str]:
         *export,
         "import frictionzoo as fz",
         f"drive = fz.load({place!r})",
-        "drive.parameters, drive.rollout()" if usable else 'drive.parameters, drive.result["verdict"]',
+        "drive.parameters, drive.rollout()" if usable else "drive.parameters, drive.result.verdict",
     ]
 
 
@@ -148,14 +162,19 @@ def say_command(folder: Path) -> str | None:
     return shlex.join(["python", "-m", "frictionzoo.run", *kept])
 
 
-def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
-    rows: Any = parameters
-    for parameter in rows:
-        course = curves.history.get(f"{parameter['owner']}.{parameter['name']}")
-        for row in parameter["by_joint"]:
-            if row["identified"] and course is not None:
-                row["start"] = float(np.ravel(course[0])[result["joints"].index(row["joints"][0])])
-    return rows
+class _StartedValue(Value):
+    """Value of a parameter with the initial value of the fit."""
+
+    start: float
+
+
+def _add_starts(parameter: Parameter, joints: list[str], course: Float[np.ndarray, "iterations ..."]) -> Parameter:
+    starts = np.ravel(course[0])
+    rows = (
+        _StartedValue(*astuple(row), start=float(starts[joints.index(row.joints[0])])) if row.identified else row
+        for row in parameter.by_joint
+    )
+    return replace(parameter, by_joint=list(rows))
 
 
 def _say_ranks(curves: Curves) -> str:
@@ -164,42 +183,42 @@ def _say_ranks(curves: Curves) -> str:
 
 
 def _say_shown(result: Result, curves: Curves) -> str:
-    test, texts = result["metrics"]["test"], []
+    test, texts = result.metrics.test, []
     for name, rollout in choose_rollouts(curves).items():
         measured = curves.measured_qpos[rollout, 1:]
         errors = (float(np.abs(qpos[rollout] - measured).mean()) for qpos in (curves.qpos, curves.baseline_qpos))
         error, baseline_error = (value if np.isfinite(value) else None for value in errors)
         change = format_change(error, baseline_error)
         about = "; ".join(
-            filter(None, (change and f"{change} against no friction", say_where(result["data"], curves, rollout)))
+            filter(None, (change and f"{change} against no friction", say_where(result.data, curves, rollout)))
         )
-        texts.append(f"{name} {format_number(error)} {test['unit']}" + (f" ({about})" if about else ""))
-    count, duration = len(curves.qpos), result["data"]["timestep"] * curves.qpos.shape[1]
-    suffix = " over joints" if len(result["joints"]) > 1 else ""
+        texts.append(f"{name} {format_number(error)} {test.unit}" + (f" ({about})" if about else ""))
+    count, duration = len(curves.qpos), result.data.timestep * curves.qpos.shape[1]
+    suffix = " over joints" if len(result.joints) > 1 else ""
     return (
         f"{count} rollout{'s' * (count > 1)} of {duration:g} s from the test recordings. Mean position error{suffix}: "
-        f"{', '.join(texts)}. The error in the headline is the mean over {test['rollouts']} "
-        f"rollout{'s' * (test['rollouts'] > 1)} of {test['horizon']:g} s."
+        f"{', '.join(texts)}. The error in the headline is the mean over {test.rollouts} "
+        f"rollout{'s' * (test.rollouts > 1)} of {test.horizon:g} s."
     )
 
 
 def correlate(result: Result, joint: str) -> dict[str, Any] | None:
     """Return the correlations of a joint's identified parameters, and the strongest; None below two parameters."""
-    if (covariance := result["covariance"]) is None:
+    if (covariance := result.covariance) is None:
         return None
-    labels = covariance["labels"]
+    labels = covariance.labels
     name_of = {
-        label: p["name"]
-        for p in result["parameters"]
-        for row in p["by_joint"]
-        if joint in row["joints"]
-        for label in (f"{p['owner']}.{p['name']}", f"{p['owner']}.{p['name']}/{row['name']}")
+        label: p.name
+        for p in result.parameters
+        for row in p.by_joint
+        if joint in row.joints
+        for label in (f"{p.owner}.{p.name}", f"{p.owner}.{p.name}/{row.name}")
         if label in labels
     }
     if len(name_of) < 2:
         return None
     places = [labels.index(label) for label in name_of]
-    matrix = np.array(covariance["matrix"])[np.ix_(places, places)]
+    matrix = np.array(covariance.matrix)[np.ix_(places, places)]
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     names, rows = [*name_of.values()], np.clip(matrix / np.outer(size, size), -1, 1)
     first, second = np.triu_indices(len(names), 1)
@@ -210,11 +229,11 @@ def correlate(result: Result, joint: str) -> dict[str, Any] | None:
 
 def check_result(result: Result) -> Iterator[Finding]:
     """Yield the checks of a result: findings first, worst first, then passed checks."""
-    doubts = judge(result)["findings"]
+    doubts = judge(result).findings
     for doubt in doubts:
         text = say_finding(doubt)
-        yield Finding("bad" if doubt["severe"] else "caution", TITLES[doubt["kind"]], f"{_capitalise(text)}.")
-    kinds = {doubt["kind"] for doubt in doubts}
+        yield Finding("bad" if doubt.severe else "caution", TITLES[doubt.kind], f"{_capitalise(text)}.")
+    kinds = {doubt.kind for doubt in doubts}
     for kind, check in _list_checks(result):
         if kind not in kinds:
             yield check
@@ -223,81 +242,81 @@ def check_result(result: Result) -> Iterator[Finding]:
 def _list_checks(result: Result) -> Iterator[tuple[str, Finding]]:
     """Yield kind and check of passed checks; the caller drops kinds that have a finding."""
     yield "gain", _check_gain(result)
-    if len(result["joints"]) > 1 and result["model"] != "baseline":
-        text = f"In each of the {len(result['joints'])} joints, the test error is smaller than without friction."
+    if len(result.joints) > 1 and result.model != "baseline":
+        text = f"In each of the {len(result.joints)} joints, the test error is smaller than without friction."
         yield "joints", Finding("good", TITLES["joints"], text)
-    yield "held out", check_held_out(result["data"])
-    yield "train", _check_train(result["metrics"])
-    yield "fit", _check_fit(result["fit"])
-    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
+    yield "held out", check_held_out(result.data)
+    yield "train", _check_train(result.metrics)
+    yield "fit", _check_fit(result.fit)
+    identified = [parameter for parameter in result.parameters if parameter.identified]
     text = f"No parameter ended at a bound ({len(identified)} identified)."
     yield "bounds", Finding("good", TITLES["bounds"], text)
-    if result["no_intervals"] is not None:
-        text = f"No parameter has an interval: {result['no_intervals']}."
+    if result.no_intervals is not None:
+        text = f"No parameter has an interval: {result.no_intervals}."
         yield "identifiability", Finding("note", TITLES["identifiability"], text)
     else:
         text = f"The data determine every identified parameter ({len(identified)})."
         yield "identifiability", Finding("good", TITLES["identifiability"], text)
-    total = sum(metrics["rollouts"] for _, metrics in list_rollouts(result))
+    total = sum(metrics.rollouts for _, metrics in list_rollouts(result))
     text = f"All {total} rollouts stayed finite."
     yield "stability", Finding("good", TITLES["stability"], text)
     yield "residual", _check_residual(result)
-    yield "origin", check_origin(result["data"])
+    yield "origin", check_origin(result.data)
 
 
 def _check_gain(result: Result) -> Finding:
-    test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
-    if result["model"] == "baseline":
+    test, baseline = (result.metrics[part].position_mae for part in ("test", "baseline"))
+    if result.model == "baseline":
         return Finding("note", TITLES["gain"], "This model has no friction: it is compared with itself.")
     if test is None or not baseline:
         return Finding("note", TITLES["gain"], "The drive without friction has no test error to compare with.")
     text = f"The test error is {baseline / test:.3g} times smaller than without friction"
-    if doubt_reference(result["reference"]):
+    if doubt_reference(result.reference):
         return Finding("note", TITLES["gain"], f"{text}; this comparison is unreliable, see the reference.")
     return Finding("good", TITLES["gain"], f"{text}.")
 
 
 def _check_residual(result: Result) -> Finding:
-    residual = result["residual"]
-    rows = residual["by_joint"] if residual else []
+    residual = result.residual
+    rows = residual.by_joint if residual else []
     if not rows:
         text = "The recordings are too short, or the joints move too little, to test whether the residual is noise."
         return Finding("note", TITLES["residual"], text)
-    row = max(rows, key=lambda row: row["residual"] / row["friction"])
-    share = format_share(row["residual"], row["friction"])
-    joint = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
+    row = max(rows, key=lambda row: row.residual / row.friction)
+    share = format_share(row.residual, row.friction)
+    joint = f" of {row.joint}" if len(result.joints) > 1 else ""
     text = f"The residual torque, {share} of the friction{joint}, is as large as noise from encoders and filters"
     return Finding("good", TITLES["residual"], f"{text}; no tested factor explains more of it.")
 
 
-def check_held_out(data: DataRow) -> Finding:
-    """Check how much held-out data was tested; `data` as in `result.json`."""
-    logs = [[log for log in data["logs"] if log["part"] == part] for part in ("train", "test")]
-    fitted, tested = (data["timestep"] * sum(log["samples"] for log in part) for part in logs)
-    shared = {log["sha256"] for log in logs[0]} & {log["sha256"] for log in logs[1]}
+def check_held_out(data: Data) -> Finding:
+    """Finding how much held-out data was tested; `data` as in `result.json`."""
+    logs = [[log for log in data.logs if log.part == part] for part in ("train", "test")]
+    fitted, tested = (data.timestep * sum(log.samples for log in part) for part in logs)
+    shared = {log.sha256 for log in logs[0]} & {log.sha256 for log in logs[1]}
     source = "from another part of the same recording" if shared else "from other recordings"
     text = f"Fitted to {fitted:.3g} s of data and tested on {tested:.3g} s {source}."
     return Finding("good", "Held-out data", text)
 
 
-def _check_train(metrics: PartsRow) -> Finding:
-    train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
+def _check_train(metrics: PartMetrics) -> Finding:
+    train, test = (metrics[part].position_mae for part in ("train", "test"))
     ratio = f"{test / train:.2g}" if test is not None and train else "none"
-    text = f"The test error, {format_number(test)} {metrics['test']['unit']}, is {ratio} times the training error"
+    text = f"The test error, {format_number(test)} {metrics.test.unit}, is {ratio} times the training error"
     return Finding("good", TITLES["train"], f"{text}: no sign of overfitting.")
 
 
-def _check_fit(fit: FitRow) -> Finding:
-    method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
+def _check_fit(fit: FitRecord) -> Finding:
+    method, count = METHODS.get(fit.method, fit.method), fit.iterations
     iterations = f"{count} iteration{'s' * (count != 1)}"
-    reported = f"iteration {fit['best_iteration']}, with the lowest training loss, is reported"
+    reported = f"iteration {fit.best_iteration}, with the lowest training loss, is reported"
     checks = {
         "converged": ("good", f"{method} converged after {iterations}; {reported}."),
         "patience": ("good", f"{method} stopped after {iterations}, when the loss stopped falling; {reported}."),
         "known": ("note", "Nothing was identified: the known values were evaluated."),
         "grid": ("good", f"The grid search tried all {count} combinations; the best is reported."),
     }
-    outcome = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
+    outcome = fit.method if fit.stopped == "finished" else fit.stopped
     state, text = checks.get(outcome, ("good", f"{method} completed {iterations}; {reported}."))
     return Finding(state, TITLES["fit"], text)
 
@@ -308,57 +327,55 @@ def _capitalise(text: str) -> str:
     return text if set("._/") & set(word) else text[0].upper() + text[1:]
 
 
-def check_origin(data: DataRow) -> Finding:
-    """Check whether the data come from hardware; `data` as in `result.json`."""
-    if data["origin"] == "simulated":
+def check_origin(data: Data) -> Finding:
+    """Finding whether the data come from hardware; `data` as in `result.json`."""
+    if data.origin == "simulated":
         text = "A simulator made the data: the results show how well the model imitates it, and nothing about hardware."
         return Finding("note", "Simulated data", text)
-    if data["origin"] == "hardware":
+    if data.origin == "hardware":
         return Finding("good", "Hardware data", "Recorded on hardware, according to data.origin.")
     return Finding("note", "Origin", "Your recordings. data.origin does not state whether they come from hardware.")
 
 
 def _say_headline(result: Result) -> str:
-    test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
-    if test["position_mae"] is None:
-        return f"All {test['rollouts']} test rollouts of {test['horizon']:g} s diverged: there is no error to report."
-    rollouts = f"{test['rollouts']} open-loop rollout{'s' * (test['rollouts'] > 1)} of {test['horizon']:g} s"
-    text = f"Mean position error {format_number(test['position_mae'])} {test['unit']} over {rollouts} on test data"
-    if not baseline["position_mae"] or result["model"] == "baseline":
+    test, baseline = result.metrics.test, result.metrics.baseline
+    if test.position_mae is None:
+        return f"All {test.rollouts} test rollouts of {test.horizon:g} s diverged: there is no error to report."
+    rollouts = f"{test.rollouts} open-loop rollout{'s' * (test.rollouts > 1)} of {test.horizon:g} s"
+    text = f"Mean position error {format_number(test.position_mae)} {test.unit} over {rollouts} on test data"
+    if not baseline.position_mae or result.model == "baseline":
         return f"{text}."
-    change = format_change(test["position_mae"], baseline["position_mae"])
-    without = f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction"
-    if doubt_reference(result["reference"]):
+    change = format_change(test.position_mae, baseline.position_mae)
+    without = f"{text}; {format_number(baseline.position_mae)} {test.unit} without friction"
+    if doubt_reference(result.reference):
         return f"{without} ({change}, unreliable: a parameter of that fit ended at a bound)."
     return f"{without} ({change})."
 
 
 def _compare_errors(
-    own: Mapping[str, Any], baseline: Mapping[str, Any], units: Mapping[str, Any]
+    own: Metrics | JointErrors, baseline: Metrics | JointErrors, units: Metrics
 ) -> Iterator[dict[str, Any]]:
     """Yield rows of a table: errors of the model and without friction."""
     for name, (key, unit) in ERRORS.items():
-        if key in own:
+        if hasattr(own, key):
             yield {"name": name, "unit": units[unit], "model": own[key], "baseline": baseline[key]}
 
 
 def list_joints(result: Result) -> list[dict[str, Any]]:
     """Return for each joint its errors with and without friction, its parameters, and doubtful values."""
-    test = result["metrics"]["test"]
-    largest = max(result["by_joint"], key=lambda row: row["test"]["position_mae"] or 0.0)
+    test = result.metrics.test
+    largest = max(result.by_joint, key=lambda row: row.test.position_mae or 0.0)
     joints = []
-    for row in result["by_joint"]:
-        values = [
-            (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
-        ]
+    for row in result.by_joint:
+        values = [(p, value) for p in result.parameters for value in p.by_joint if row.joint in value.joints]
         # Values shared by all joints are not a doubt about this joint.
-        doubts = [_doubt_value(p, value) for p, value in values if len(value["joints"]) < len(result["joints"])]
-        residuals = (result["residual"] or {"by_joint": []})["by_joint"]
-        residual = next((entry for entry in residuals if entry["joint"] == row["joint"]), None)
+        doubts = [_doubt_value(p, value) for p, value in values if len(value.joints) < len(result.joints)]
+        residuals = result.residual.by_joint if result.residual else []
+        residual = next((entry for entry in residuals if entry.joint == row.joint), None)
         shown = {
-            "name": row["joint"],
+            "name": row.joint,
             "residual": residual,
-            "errors": list(_compare_errors(row["test"], row["baseline"], test)),
+            "errors": list(_compare_errors(row.test, row.baseline, test)),
             "parameters": values,
             "open": row is largest,
         }
@@ -366,22 +383,22 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
     return joints
 
 
-def _doubt_value(parameter: ParameterRow, value: ValueRow) -> str:
-    if value["at_bound"]:
-        return f"{parameter['name']} at a bound"
-    return f"{parameter['name']} not identifiable" if value["identifiable"] is False else ""
+def _doubt_value(parameter: Parameter, value: Value) -> str:
+    if value.at_bound:
+        return f"{parameter.name} at a bound"
+    return f"{parameter.name} not identifiable" if value.identifiable is False else ""
 
 
 def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
     names = {"test": "test, this model", "train": "train, this model", "baseline": "test, no friction"}
-    for entry in result["by_horizon"]:
-        yield from ({"on": name, **entry[part]} for part, name in names.items())
+    for entry in result.by_horizon:
+        yield from ({"on": name, **asdict(entry[part])} for part, name in names.items())
     for key, where in (("a", "one long rollout"), ("b", "random places")):
         for part, name in (("model", "this model"), ("baseline", "no friction")):
-            yield {"on": f"{where}, {name}", **result["paper"][key][part]}
+            yield {"on": f"{where}, {name}", **asdict(result.paper[key][part])}
 
 
-def list_timing(timing: TimingRow) -> dict[str, float]:
+def list_timing(timing: Timing) -> dict[str, float]:
     """Return the seconds of each part; the rest of the total comes last."""
-    parts: dict[str, Any] = {name: seconds for name, seconds in timing.items() if name != "total"}
-    return parts | {"figures and files": max(0.0, timing["total"] - sum(parts.values()))}
+    parts: dict[str, Any] = {name: seconds for name, seconds in asdict(timing).items() if name != "total"}
+    return parts | {"figures and files": max(0.0, timing.total - sum(parts.values()))}

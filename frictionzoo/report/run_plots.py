@@ -45,7 +45,7 @@ def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
         "phase": list(_plot_phases(result, curves, shown)),
         "left": list(plot_left(result, curves)),
         "history": list(plot_history(result, curves)),
-        "horizons": [_plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
+        "horizons": [_plot_horizons(result)] if len(result.by_horizon) > 1 else [],
     }
 
 
@@ -65,8 +65,8 @@ def write_figures(folder: Path, result: Result, curves: Curves) -> None:
     Raises:
         OutputError: A file cannot be written.
     """
-    fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {result['fit']['best_iteration']}, "
-    window = f"moving mean and standard deviation over {result['evaluation']['window']:g} s"
+    fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {result.fit.best_iteration}, "
+    window = f"moving mean and standard deviation over {result.evaluation.window:g} s"
     tested = _describe(result, "one rollout of the test part")
     history, error = list(plot_history(result, curves)), list(_plot_errors(result, curves, _FIRST))
     sheets = {
@@ -92,7 +92,7 @@ def _arrange(result: Result, curves: Curves) -> Sheet:
 
 
 def _describe(result: Result, what: str) -> str:
-    return f"{result['model']}, {what} of {result['data']['name']} ({say_origin(result['data']['origin'])})"
+    return f"{result.model}, {what} of {result.data.name} ({say_origin(result.data.origin)})"
 
 
 def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator[Figure]:
@@ -102,11 +102,11 @@ def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator
     colours instead of `color`.
     """
     history = curves.history
-    units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
+    units = {f"{p.owner}.{p.name}": format_unit(p.unit) for p in result.parameters if p.identified}
     names = ["loss", *(name for name in units if name in history)]
     if "grad_norm" in history and not any(name.startswith("friction.") for name in names):
         names.append("grad_norm")
-    iteration, best = history["iteration"].astype(np.float64), result["fit"]["best_iteration"]
+    iteration, best = history["iteration"].astype(np.float64), result.fit.best_iteration
     reported = int(np.flatnonzero(iteration == best)[0])
     for name in names:
         lines = _name_lines(result, name)
@@ -123,8 +123,8 @@ def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator
 
 def _name_lines(result: Result, name: str) -> dict[str, int]:
     """Return the history columns by joint name; joints that share a value have one column."""
-    rows = [row for p in result["parameters"] if f"{p['owner']}.{p['name']}" == name for row in p["by_joint"]]
-    joints = {row["name"]: result["joints"].index(row["joints"][0]) for row in rows if row["identified"]}
+    rows = [row for p in result.parameters if f"{p.owner}.{p.name}" == name for row in p.by_joint]
+    joints = {row.name: result.joints.index(row.joints[0]) for row in rows if row.identified}
     return joints if len(joints) > 1 else {"value": next(iter(joints.values()), 0)}
 
 
@@ -139,7 +139,7 @@ def _draw_courses(
 ) -> Iterator[Mark]:
     best, several = float(iteration[at]), 1 < len(columns) <= len(JOINTS)
     points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
-    look = points if result["fit"]["method"] == "grid" else {}
+    look = points if result.fit.method == "grid" else {}
     colors = JOINTS if len(columns) > 1 else (color,)
     yield Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))
     for i, (name, column) in enumerate(columns.items()):
@@ -150,15 +150,15 @@ def _draw_courses(
 
 def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     """Yield figure 4 for each joint and rollout: measured and simulated position and velocity."""
-    test, timestep = result["metrics"]["test"], result["data"]["timestep"]
+    test, timestep = result.metrics.test, result.data.timestep
     duration, count = timestep * (curves.measured_qpos.shape[1] - 1), len(curves.qpos)
-    for joint, name in enumerate(result["joints"]):
+    for joint, name in enumerate(result.joints):
         for rank, rollout in shown.items():
             drives = _list_drives(curves, rollout)
-            panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
+            panels = draw_motion(drives, joint, timestep, (test.unit, test.velocity_unit))
             errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
-            errors_text = _say_each([_say_error(error, test["unit"]) for error in errors])
-            place = say_where(result["data"], curves, rollout)
+            errors_text = _say_each([_say_error(error, test.unit) for error in errors])
+            place = say_where(result.data, curves, rollout)
             text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s"
             text += f", {place}; " if place else "; "
             text += f"the mean position error is {errors_text}."
@@ -170,8 +170,8 @@ def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int])
 def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     rank, rollout = list(shown.items())[(len(shown) - 1) // 2]
     model, *_ = _list_drives(curves, rollout)
-    units, kept = find_units(result), slice(1 + round(PHASE / result["data"]["timestep"]))
-    for joint, name in enumerate(result["joints"]):
+    units, kept = find_units(result), slice(1 + round(PHASE / result.data.timestep))
+    for joint, name in enumerate(result.joints):
         (x, y), (position, speed) = (
             [read(signal)[kept, joint] for signal in ("qpos", "qvel")] for read in (model.measured, model.follow)
         )
@@ -205,14 +205,14 @@ def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
 
 def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
     """Yield figure 5 for each rollout: moving mean +- standard deviation of the position error, mean over joints."""
-    window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
+    window, unit = result.evaluation.window, result.metrics.test.unit
     drawn = [_list_drives(curves, rollout) for rollout in shown.values()]
-    panels = draw_errors(drawn, result["data"]["timestep"], window, unit)
+    panels = draw_errors(drawn, result.data.timestep, window, unit)
     for (rank, rollout), drives, panel in zip(shown.items(), drawn, panels, strict=True):
         largest = [f"{format_number(float(np.nanmax(drive.errors())))} {unit}" for drive in drives]
         text = (
             f"Moving mean and standard deviation over {window:g} s of the absolute position error"
-            f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
+            f"{f', {place}' if (place := say_where(result.data, curves, rollout)) else ''}; the largest error "
         )
         text += f"is {_say_each(largest)}."
         title = f"Error of the {rank} rollout" if rank else "Position error"
@@ -220,19 +220,19 @@ def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
 
 
 def _plot_horizons(result: Result) -> Figure:
-    entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
-    unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
+    entries = sorted(result.by_horizon, key=lambda entry: entry.horizon)
+    unit, places = entries[0].test.unit, np.arange(len(entries), dtype=np.float64)
     parts = ("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE)
     marks, width, middle = [], 0.81 / len(parts), (len(parts) - 1) / 2
     for i, (part, name, color) in enumerate(parts):
-        errors = [(entry[part]["position_mae"], entry[part]["position_mae_std"]) for entry in entries]
+        errors = [(entry[part].position_mae, entry[part].position_mae_std) for entry in entries]
         length, spread = np.array(errors, np.float64).T
         bars = {"at": places + width * (i - middle), "length": length, "spread": spread, "width": width}
         marks.append(Bars(name=name, color=color, upright=True, **bars))
-    lengths = tuple(f"{entry['horizon']:g} s" for entry in entries)
+    lengths = tuple(f"{entry.horizon:g} s" for entry in entries)
     phrases = []
     for length, entry in zip(lengths, entries, strict=True):
-        test, baseline = (format_number(entry[part]["position_mae"]) for part in ("test", "baseline"))
+        test, baseline = (format_number(entry[part].position_mae) for part in ("test", "baseline"))
         phrases.append(f"at {length}: {test} {unit} on test data, {baseline} {unit} without friction")
     panel = Panel(marks, Axis("rollout length", ticks=lengths), Axis("position MAE", unit))
     return Figure("Position error by horizon", f"Mean position error {'; '.join(phrases)}.", (panel,))
@@ -240,7 +240,7 @@ def _plot_horizons(result: Result) -> Figure:
 
 def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
     """Yield friction curves of each joint over all inputs of the model, with the friction implied by recordings."""
-    for joint in range(len(result["joints"])):
+    for joint in range(len(result.joints)):
         for over in curves.portraits:
             yield _plot_portrait(result, curves, joint, over)
 
@@ -251,7 +251,7 @@ def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> No
     Raises:
         OutputError: The file cannot be written.
     """
-    joints = result["joints"]
+    joints = result.joints
     figures = [
         replace(_plot_portrait(result, curves, joint, "velocity"), title=name) for joint, name in enumerate(joints)
     ]
@@ -260,7 +260,7 @@ def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> No
 
 
 def _plot_portrait(result: Result, curves: Curves, joint: int, over: str) -> Figure:
-    units, name, (label, unit) = find_units(result), result["joints"][joint], _OVER[over]
+    units, name, (label, unit) = find_units(result), result.joints[joint], _OVER[over]
     portrait = Portrait(*(part[:, joint] for part in curves.portraits[over]))
     x = Axis(label, units.get(unit, unit))
     y = Axis("friction" if over == "velocity" else "friction opposing the motion", units["torque"])
@@ -302,11 +302,11 @@ def _say_portrait(portrait: Portrait, unit: str) -> str:
 def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:
     """Yield the residual torque of each joint over the time of the training recordings."""
     unit = find_units(result)["torque"]
-    rows = {row["joint"]: row for row in (result["residual"] or {"by_joint": []})["by_joint"]}
-    for joint, name in enumerate(result["joints"] if curves.left.size else ()):
+    rows = {row.joint: row for row in (result.residual.by_joint if result.residual else [])}
+    for joint, name in enumerate(result.joints if curves.left.size else ()):
         look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "size": 2.5, "opacity": 0.7}
         residual = Curve(x=curves.left_time, y=curves.left[:, joint], name="residual torque", color=MODEL, **look)
-        size = rows[name]["residual"] if name in rows else None
+        size = rows[name].residual if name in rows else None
         marks = [Stripe(low=0.0, high=0.0, level=True), residual]
         x = Axis("time in the training data", "s")
         text = f"Residual torque of {name} in motion"
@@ -316,4 +316,4 @@ def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:
 
 def find_units(result: Result) -> Mapping[str, str]:
     """Return the units of the run's joints by dimension."""
-    return UNITS["hinge" if result["metrics"]["test"]["unit"] == UNITS["hinge"]["position"] else "slide"]
+    return UNITS["hinge" if result.metrics.test.unit == UNITS["hinge"]["position"] else "slide"]

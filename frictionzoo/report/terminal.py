@@ -11,8 +11,8 @@ from frictionzoo.core.telling import Rows, align, escape_all, say_percent
 from frictionzoo.report.text import escape_markdown, format_change, format_number, format_share
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known
-from frictionzoo.result.section_types import TorqueRow, WrittenRow
-from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
+from frictionzoo.result.section_types import Torque, WrittenModel
+from frictionzoo.result.types import Data, Metrics, Parameter, Result, Value
 from frictionzoo.result.verdict import FAR, say_finding, say_purposes
 
 _format_value = partial(format_number, between=" ")
@@ -48,9 +48,9 @@ def tabulate_values(result: Result) -> str:
 
 def tabulate_errors(result: Result) -> str:
     """Return test errors with and without friction in Markdown; for several joints also by joint."""
-    metrics = result["metrics"]
-    tables = [_list_errors(metrics["test"], metrics["baseline"], ("this drive", "no friction"))]
-    tables += [_list_joints(result)] if len(result["joints"]) > 1 else []
+    metrics = result.metrics
+    tables = [_list_errors(metrics.test, metrics.baseline, ("this drive", "no friction"))]
+    tables += [_list_joints(result)] if len(result.joints) > 1 else []
     return "\n\n".join(map(_tabulate_in_markdown, tables))
 
 
@@ -76,14 +76,14 @@ def _arrange(
     tell: Callable[[Sequence[str]], str] = "\n".join,
 ) -> str:
     result, folder = escape_all(result), escape_all(str(folder)) if folder else None
-    metrics = result["metrics"]
+    metrics = result.metrics
     blocks = [
-        say(f"{result['model']} on {_say_data(result['data'])}"),
+        say(f"{result.model} on {_say_data(result.data)}"),
         tabulate(_list_parameters(result)),
-        tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
-        *([tabulate(_list_joints(result))] if len(result["joints"]) > 1 else []),
-        *([tabulate(_list_torque(result["torque"]))] if result["torque"] else []),
-        *([tabulate(_list_written(result)), tell(_list_limits(result))] if result["written"] else []),
+        tabulate(_list_errors(metrics.test, metrics.baseline, ("this model", "no friction"))),
+        *([tabulate(_list_joints(result))] if len(result.joints) > 1 else []),
+        *([tabulate(_list_torque(result.torque))] if result.torque else []),
+        *([tabulate(_list_written(result)), tell(_list_limits(result))] if result.written else []),
         *([say(f"files: {folder}")] if folder else []),
         tell(_list_verdict(result)),
     ]
@@ -103,14 +103,14 @@ def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) ->
 
 def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: Callable[[Rows], str]) -> list[str]:
     comparison = escape_all(comparison)
-    count, doubt, recommendation = len(comparison["runs"]), comparison["reference_doubt"], comparison["recommendation"]
-    failed = "\n".join(f"failed: {failure['run']}: {failure['reason']}" for failure in comparison["failures"])
+    count, doubt, recommendation = len(comparison.runs), comparison.reference_doubt, comparison.recommendation
+    failed = "\n".join(f"failed: {failure.run}: {failure.reason}" for failure in comparison.failures)
     advice = "No recommendation: all test rollouts of all runs diverged."
     if recommendation:
-        advice = f"recommended: {recommendation['run']}. {recommendation['reason']}"
+        advice = f"recommended: {recommendation.run}. {recommendation.reason}"
     remarks = (failed, f"warning: {doubt}" if doubt else "", advice, f"files: {folder}" if folder else "")
     return [
-        f"{count} run{'s' * (count != 1)} on {_say_data(comparison['data'])}",
+        f"{count} run{'s' * (count != 1)} on {_say_data(comparison.data)}",
         tabulate(_list_runs(comparison)),
         *filter(None, remarks),
     ]
@@ -153,125 +153,123 @@ def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
 
 
 def _list_runs(comparison: Comparison) -> Rows:
-    evaluation, unit = comparison["evaluation"], comparison["unit"]
-    best = comparison["runs"][0]["label"]
-    verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
-    judged = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
+    evaluation, unit = comparison.evaluation, comparison.unit
+    best = comparison.runs[0].label
+    verdicts = {pair.run: pair.verdict for pair in comparison.pairs if pair.other == best}
+    judged = f"test, {evaluation.rollouts} x {evaluation.horizon:g} s [{unit}]"
     columns = ("sigma", "change", "against best", "diverged", "fit [s]")
     rows: list[tuple[str, ...]] = [("model", "identified", f"train MAE [{unit}]", judged, *columns)]
-    for run in comparison["runs"]:
-        label, train, test, change = run["label"], run["train"], run["test"], run["change"]["test"]
+    for run in comparison.runs:
+        label, train, test, change = run.label, run.train, run.test, run.change.test
         rows.append(
             (
-                *(label, str(run["identified"]), _format_value(train["position_mae"])),
-                *(_format_value(test["position_mae"]), _format_value(test["position_mae_std"])),
+                *(label, str(run.identified), _format_value(train.position_mae)),
+                *(_format_value(test.position_mae), _format_value(test.position_mae_std)),
                 "" if change is None else f"{round(100 * change):+d} %",
                 "best" if label == best else verdicts[label],
-                *(str(test["diverged"]), f"{run['timing']['fit']:.1f}"),
+                *(str(test.diverged), f"{run.timing.fit:.1f}"),
             )
         )
     return rows
 
 
-def _say_data(data: DataRow) -> str:
+def _say_data(data: Data) -> str:
     kinds = {"simulated": "The data are simulated.", "hardware": "Recorded on hardware, according to data.origin."}
-    return f"{data['name']}. {kinds.get(data['origin'] or '', 'Your recordings.')}"
+    return f"{data.name}. {kinds.get(data.origin or '', 'Your recordings.')}"
 
 
 def _list_parameters(result: Result) -> Rows:
     """Return one row per parameter; for several joints, one row per joint or group of joints that share the value."""
-    several = len(result["joints"]) > 1
+    several = len(result.joints) > 1
     rows = [("parameter", *(["joint"] if several else []), "value", "95 % interval", "unit", "")]
-    for parameter in result["parameters"]:
-        name = f"{parameter['owner']}.{parameter['name']}"
-        for row in merge_known(parameter["by_joint"]) if several else parameter["by_joint"]:
-            joint, status = [row["name"]] if several else [], say_status(row)
-            status = "at a bound" if several and row["at_bound"] else status
-            interval = "" if row["interval"] is None else "{:.4g} to {:.4g}".format(*row["interval"])
-            rows.append((name, *joint, _format_value(row["value"]), interval, parameter["unit"], status))
+    for parameter in result.parameters:
+        name = f"{parameter.owner}.{parameter.name}"
+        for row in merge_known(parameter.by_joint) if several else parameter.by_joint:
+            joint, status = [row.name] if several else [], say_status(row)
+            status = "at a bound" if several and row.at_bound else status
+            interval = "" if row.interval is None else "{:.4g} to {:.4g}".format(*row.interval)
+            rows.append((name, *joint, _format_value(row.value), interval, parameter.unit, status))
             name = ""  # only in the first row of a parameter
-    if result["network"]:
+    if result.network:
         joint = [""] if several else []  # the model determines which joints it covers
-        rows.append(("friction network", *joint, str(result["network"]["weights"]), "", "weights", "identified"))
+        rows.append(("friction network", *joint, str(result.network.weights), "", "weights", "identified"))
     return rows
 
 
 def _list_joints(result: Result) -> Rows:
-    unit = result["metrics"]["test"]["unit"]
+    unit = result.metrics.test.unit
     rows = [("position MAE by joint", "this model", "no friction", "unit", "change")]
-    for row in result["by_joint"]:
-        error, without = (row[part]["position_mae"] for part in ("test", "baseline"))
+    for row in result.by_joint:
+        error, without = (row[part].position_mae for part in ("test", "baseline"))
         change = _format_change(error, without)
-        rows.append((row["joint"], _format_value(error), _format_value(without), unit, change))
+        rows.append((row.joint, _format_value(error), _format_value(without), unit, change))
     return rows
 
 
-def _list_torque(torque: TorqueRow) -> Rows:
+def _list_torque(torque: Torque) -> Rows:
     rows = [("residual torque, test, RMS", "residual", "torque", "unit", "share")]
-    several = [{"joint": "mean", **torque["mean"]}] if len(torque["by_joint"]) > 1 else []
-    for row in (*torque["by_joint"], *several):
-        residual, total = (row["test"][key] for key in ("residual", "torque"))
-        rows.append(
-            (row["joint"], _format_value(residual), _format_value(total), torque["unit"], format_share(residual, total))
-        )
+    tests = [(row.joint, row.test) for row in torque.by_joint]
+    for name, test in [*tests, ("mean", torque.mean.test)][: len(tests) + (len(tests) > 1)]:
+        values = _format_value(test.residual), _format_value(test.torque)
+        rows.append((name, *values, torque.unit, format_share(test.residual, test.torque)))
     return rows
 
 
 def _list_written(result: Result) -> Rows:
     rows = [("loaded in MuJoCo, differs by", "mean", "largest", "unit", "of the test error")]
-    for row in result["written"]:
-        share = "" if row["share"] is None else f"{100 * row['share']:.2g} %"
-        rows.append((row["file"], _format_value(row["mean"]), _format_value(row["largest"]), row["unit"], share))
+    for row in result.written:
+        share = "" if row.share is None else f"{100 * row.share:.2g} %"
+        rows.append((row.file, _format_value(row.mean), _format_value(row.largest), row.unit, share))
     return rows
 
 
 def _list_limits(result: Result) -> list[str]:
-    limits = [(row["file"], limit) for row in result["written"] for limit in _list_reasons(row)]
+    limits = [(row.file, limit) for row in result.written for limit in _list_reasons(row)]
     files: dict[str, list[str]] = {}
     for file, limit in limits:
         files.setdefault(limit, []).append(file)
     return [f"{', '.join(names)}: {limit}" for limit, names in files.items()]
 
 
-def _list_reasons(row: WrittenRow) -> list[str]:
-    if row["exact"]:
-        return ["the identified drive, represented exactly", *row["limits"]]
-    far = row["share"] is not None and row["share"] > FAR
-    reason = row["reason"] or ("no known reason: do not use it" if far else "")
-    return [*([f"far from the identified drive: {reason}"] if far else [reason] if reason else []), *row["limits"]]
+def _list_reasons(row: WrittenModel) -> list[str]:
+    if row.exact:
+        return ["the identified drive, represented exactly", *row.limits]
+    far = row.share is not None and row.share > FAR
+    reason = row.reason or ("no known reason: do not use it" if far else "")
+    return [*([f"far from the identified drive: {reason}"] if far else [reason] if reason else []), *row.limits]
 
 
-def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]) -> Rows:
-    rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", *names, "unit", "change")]
+def _list_errors(test: Metrics, reference: Metrics, names: tuple[str, str]) -> Rows:
+    rows = [(f"test, {test.rollouts} x {test.horizon:g} s", *names, "unit", "change")]
     for row, (key, unit) in ERRORS.items():
         change = _format_change(test[key], reference[key])
         rows.append((row, _format_value(test[key]), _format_value(reference[key]), test[unit], change))
-    rows.append(("diverged", str(test["diverged"]), str(reference["diverged"]), "rollouts", ""))
+    rows.append(("diverged", str(test.diverged), str(reference.diverged), "rollouts", ""))
     return rows
 
 
 def _list_verdict(result: Result) -> list[str]:
-    verdict = result["verdict"]
-    count = len(verdict["findings"])
-    lines = [f"verdict: {verdict['grade']}" + (f", {count} finding{'s' * (count > 1)}" if count else "")]
-    for finding in verdict["findings"]:
-        if finding["kind"] != "identification":
+    verdict = result.verdict
+    count = len(verdict.findings)
+    lines = [f"verdict: {verdict.grade}" + (f", {count} finding{'s' * (count > 1)}" if count else "")]
+    for finding in verdict.findings:
+        if finding.kind != "identification":
             lines.append(f"warning: {say_finding(finding)}")
-    if result["not_identified"]:
-        why, *reasons = result["not_identified"]
+    if result.not_identified:
+        why, *reasons = result.not_identified
         lines.append(f"the drive was not identified: {why}. Likely reasons, the likeliest first:")
         lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
-    if verdict["commands"]:
-        lines += [f"next: {say_purposes(verdict['commands'])}"]
-        lines += [f"  {row['command']}" for row in verdict["commands"]]
+    if verdict.commands:
+        lines += [f"next: {say_purposes(verdict.commands)}"]
+        lines += [f"  {row.command}" for row in verdict.commands]
     return lines
 
 
-def say_status(parameter: ParameterRow | ValueRow) -> str:
+def say_status(parameter: Parameter | Value) -> str:
     """Return the status of a value from `result.json`: known, identified or not identifiable."""
-    if not parameter["identified"]:
+    if not parameter.identified:
         return "known"
-    return "not identifiable" if parameter["identifiable"] is False else "identified"
+    return "not identifiable" if parameter.identifiable is False else "identified"
 
 
 def _tabulate_in_markdown(rows: Rows) -> str:

@@ -6,17 +6,19 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
 
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.output import RESULT, TEMPLATE
-from frictionzoo.result.kinds import Interval, NotNegative, Sha256, Text
+from frictionzoo.core.output import RESULT, TEMPLATE, to_json
+from frictionzoo.core.records import Interval, NotNegative, Record, Sha256, Text
 
 BENCH = "frictionzoo.bench.Bench"
 """Class of every card's bench, which needs no file except its template."""
 
 
-class VisitedRow(TypedDict):
+class Visited(Record):
     """Range of one joint in the long held-out rollouts."""
 
     joint: Text
@@ -29,7 +31,7 @@ class VisitedRow(TypedDict):
     """Largest motor torque or force, from the actuator model [N m or N]."""
 
 
-class ConditionsRow(TypedDict):
+class Conditions(Record):
     """Conditions of the recordings."""
 
     supply: Text | None
@@ -38,13 +40,13 @@ class ConditionsRow(TypedDict):
     """Temperature, as stated by the card's author; null: not stated."""
     payload: Text | None
     """Payload, as stated by the card's author; null: not stated. Payloads from the recordings are in `data.logs`."""
-    visited: Annotated[list[VisitedRow], ("minItems", 1)]
+    visited: Annotated[list[Visited], Meta(min_length=1)]
     """Range of each joint in the recordings."""
     fastest: NotNegative
     """Largest speed of any joint in the training recordings [rad/s or m/s]."""
 
 
-class PublishedRow(TypedDict):
+class Published(Record):
     """A file of published values."""
 
     project: Literal["BAM"]
@@ -63,15 +65,15 @@ class PublishedRow(TypedDict):
     """Differences from the drive in the published project, one sentence each."""
 
 
-class CardRow(TypedDict):
+class Card(Record):
     """A published drive."""
 
     name: Text
     """Title of the card."""
-    licence: Annotated[str, ("pattern", "^[a-z0-9][a-z0-9.+-]*$")]
+    licence: Annotated[str, Meta(pattern="^[a-z0-9][a-z0-9.+-]*$")]
     """Licence of the card, an identifier of model hubs."""
-    conditions: ConditionsRow
-    origin: PublishedRow | None
+    conditions: Conditions
+    origin: Published | None
     """Source of published values, which the run evaluated on its recordings; null: the run identified the values."""
     command: Text | None
     """Command of the run; null: made in Python, or not recorded."""
@@ -80,21 +82,21 @@ class CardRow(TypedDict):
     as JSON with sorted keys."""
 
 
-def open_card(folder: Path, content: dict[str, Any]) -> None:
-    """Verify the files of a card, which may come from a stranger, and put the template's path into its settings.
+def open_card(folder: Path, result: Record) -> dict[str, Any]:
+    """Verify the files of a card, which may come from a stranger, and return its settings with the template's path.
 
-    `content` is its `result.json`, which matches the schema.
+    `result` is its `result.json`.
 
     Raises:
         RunError: A file is missing or was edited, the bench is of another kind, or the template refers to other files.
     """
-    for name, expected in content["card"]["files"].items():
+    for name, expected in result["card"].files.items():
         if Path(name).name != name:
             raise RunError(f"{folder / RESULT}: it names the file {name}, expected names without folders")
-        sha256 = hash_record(content) if name == RESULT else hashlib.sha256(_read(folder / name)).hexdigest()
+        sha256 = hash_record(result) if name == RESULT else hashlib.sha256(_read(folder / name)).hexdigest()
         if sha256 != expected:
             raise RunError(f"{folder / name}: SHA-256 {sha256[:12]}, expected {expected[:12]}; get the card again")
-    bench = content["settings"].get("bench")
+    bench = result["settings"].get("bench")
     target = bench.get("_target_") if isinstance(bench, Mapping) else bench
     if target != BENCH:
         raise RunError(f"{folder / RESULT}: settings.bench: _target_={target}, expected {BENCH}; get the card again")
@@ -105,11 +107,12 @@ def open_card(folder: Path, content: dict[str, Any]) -> None:
         raise RunError(f"{path}: not UTF-8; expected the MJCF of a card; get the card again") from None
     if name:
         raise RunError(f"{path}: it refers to {name}, expected one file; this card cannot be loaded")
-    content["settings"] = {**content["settings"], "bench": {**bench, "mjcf": str(path)}}
+    return {**result["settings"], "bench": {**bench, "mjcf": str(path)}}
 
 
-def hash_record(content: Mapping[str, Any]) -> str:
+def hash_record(result: Record) -> str:
     """Return the SHA-256 of a card's record without its hashes."""
+    content = to_json(result)
     record = {**content, "card": {**content["card"], "files": {}}}
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 

@@ -17,7 +17,7 @@ from frictionzoo.fit.uncertainty import LEVEL, Covariance
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import Result
-from frictionzoo.result.values import Parameter, read_parameters
+from frictionzoo.result.values import ParameterArrays, read_parameters
 from frictionzoo.simulation.context import computing
 
 
@@ -74,7 +74,7 @@ def draw_with_chains(
         raise RunError(
             f"{place}: no training data, expected a drive that identify returned; identify again, or draw with sample"
         )
-    settings = result["settings"]
+    settings = result.settings
     with computing(*(settings[name] for name in ("dtype", "device", "compilation_cache"))):
         chains = draw_posterior(fitted, covariance, count, seed)
     drawn, draws = fitted.objective.space.physical(chains.vectors.T), {}
@@ -89,10 +89,10 @@ def _read_covariance(place: str, result: Result, count: int) -> Covariance:
     """Return the covariance; raise if `count` is below 1 or no parameter has an interval."""
     if count < 1:
         raise ConfigError(f"count={count}: expected 1 or more drives to draw")
-    if (row := result["covariance"]) is None:
-        why = result["no_intervals"] or "the data determine none of its parameters"
+    if (row := result.covariance) is None:
+        why = result.no_intervals or "the data determine none of its parameters"
         raise RunError(f"{place}: {why}, expected intervals to draw from; check what was identified, and fit again")
-    return Covariance(tuple(row["labels"]), np.array(row["centre"]), np.array(row["matrix"]), row["freedom"])
+    return Covariance(tuple(row.labels), np.array(row.centre), np.array(row.matrix), row.freedom)
 
 
 def _draw(
@@ -108,8 +108,8 @@ def _draw(
         return {name: values.T for name, values in space.physical(vectors).items()}
 
 
-def _determined(parameter: Parameter, bench: Bench) -> Bool[np.ndarray, "nv"]:
-    joints = [joint for row in parameter.by_joint if row["identifiable"] for joint in row["joints"]]
+def _determined(parameter: ParameterArrays, bench: Bench) -> Bool[np.ndarray, "nv"]:
+    joints = [joint for row in parameter.by_joint if row.identifiable for joint in row.joints]
     return np.isin(bench.joints, joints)
 
 

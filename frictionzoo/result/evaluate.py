@@ -14,36 +14,13 @@ from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments, cut_rollouts
 from frictionzoo.result.torque import AS_THE_FIT
+from frictionzoo.result.types import JointErrors, Metrics
 
 _SMALL = 50  # most rollouts of a set that is simulated together with other sets
 KEPT = 100  # most rollouts whose errors are kept for each sample, evenly spread
 Values = Mapping[str, Mapping[str, np.ndarray]]
 Rollout = Callable[..., tuple]
 """`rollout(values, qpos, qvel, ctrl, load)`: predicted qpos and qvel, each (batch, time, nv)."""
-
-
-@dataclass(frozen=True)
-class Metrics:
-    """Errors of open-loop rollouts, as `MetricsRow` of `result.json` defines them; NaN if all rollouts diverged."""
-
-    position_mae: float
-    position_mae_std: float
-    position_rmse: float
-    velocity_rmse: float
-    unit: str
-    velocity_unit: str
-    horizon: float
-    rollouts: int
-    diverged: int
-
-
-@dataclass(frozen=True)
-class JointErrors:
-    """Errors of one joint [rad or m, rad/s or m/s] in the rollouts that did not diverge; NaN if all diverged."""
-
-    position_mae: float
-    position_rmse: float
-    velocity_rmse: float
 
 
 @dataclass(frozen=True)
@@ -94,7 +71,11 @@ def _predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> l
 
 
 def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metrics:
-    """Compute the errors of simulated against measured states; `joint_type` is `hinge` or `slide`."""
+    """Compute the errors of simulated against measured states; `joint_type` is `hinge` or `slide`.
+
+    An error is NaN if all rollouts diverged.
+    """
+    units: Any = UNITS[joint_type]
     kept = ~prediction.diverged
     mae = rollout_mae(prediction, segments)[kept]
     return Metrics(
@@ -102,8 +83,8 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
         position_mae_std=float(mae.std()) if kept.any() else np.nan,
         position_rmse=rms(prediction.qpos[kept] - segments.qpos[kept, 1:]),
         velocity_rmse=rms(prediction.qvel[kept] - segments.qvel[kept, 1:]),
-        unit=UNITS[joint_type]["position"],
-        velocity_unit=UNITS[joint_type]["velocity"],
+        unit=units["position"],
+        velocity_unit=units["velocity"],
         horizon=round(segments.length * segments.timestep, 9),
         rollouts=segments.count,
         diverged=int(prediction.diverged.sum()),

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import RunError
+from frictionzoo.core.records import Proof
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit.posterior import Fitted
@@ -22,17 +23,18 @@ from frictionzoo.models.formula import as_numpy, torch_values
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.draws import Band, Posterior, draw_parameters, draw_with_chains, predict_band, put_values
-from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
+from frictionzoo.result.evaluate import Prediction, Values
 from frictionzoo.result.read_back import LAW, build_drive, hold, load_law, read_bench, read_segments
 from frictionzoo.result.record import read_run
 from frictionzoo.result.simulator import RK4, put_into_simulator
-from frictionzoo.result.types import Result
-from frictionzoo.result.values import Parameter, read_parameters
+from frictionzoo.result.types import JointErrors, Metrics, Result
+from frictionzoo.result.values import ParameterArrays, read_parameters
 from frictionzoo.simulation import Engine
 from frictionzoo.simulation.drive import Drive
-from frictionzoo.simulation.proof import Proof, Recorded, prove
+from frictionzoo.simulation.proof import Recorded, prove
 from frictionzoo.simulation.rollout import applied, make_observer
 
+PARTS = "train", "test", "baseline"
 _Drive = TypeVar("_Drive", bound="FittedDrive")
 
 
@@ -77,10 +79,10 @@ class FittedDrive:
             BenchError: The bench's MJCF is missing or has changed.
         """
         result, curves = read_run(folder)
-        settings = result["settings"]
+        settings = result.settings
         bench, model = build_drive(folder, settings)
         state = load_law(model, folder / LAW)
-        segments = read_segments(folder / CURVES, curves, result["data"]["timestep"], bench)
+        segments = read_segments(folder / CURVES, curves, result.data.timestep, bench)
         sampling = bench.sampling(segments.timestep)
         if sampling.history != segments.history:
             raise RunError(
@@ -93,10 +95,10 @@ class FittedDrive:
     @property
     def place(self) -> str:
         """Name of the drive for messages: its folder or its friction model."""
-        return str(self.folder) if self.folder else f"the drive with {self.result['model']}"
+        return str(self.folder) if self.folder else f"the drive with {self.result.model}"
 
     @property
-    def parameters(self) -> dict[str, Parameter]:
+    def parameters(self) -> dict[str, ParameterArrays]:
         """Physical parameters of bench and friction model by full name, `bench.armature`."""
         return read_parameters(self.result, self.bench.nv)
 
@@ -145,7 +147,7 @@ class FittedDrive:
             RunError: Fewer than two training rollouts of the evaluation stayed finite.
         """
         segments = self.recorded if segments is None else segments
-        draws = self.sample(count, seed) if self.result["covariance"] else {}
+        draws = self.sample(count, seed) if self.result.covariance else {}
 
         def simulate(drawn: Mapping[str, Float[np.ndarray, "nv"]]) -> Float[np.ndarray, "batch time nv"]:
             return self.rollout(segments, values=self.with_values(drawn))[0]
@@ -166,15 +168,12 @@ class FittedDrive:
     @property
     def metrics(self) -> dict[str, Metrics]:
         """Errors of open-loop rollouts by part: `train`, `test`, and `baseline` (test part without friction)."""
-        return {part: Metrics(**_without_none(row)) for part, row in self.result["metrics"].items()}
+        return {part: self.result.metrics[part] for part in PARTS}
 
     @property
     def by_joint(self) -> dict[str, dict[str, JointErrors]]:
         """Errors of each joint by name, on the parts of `metrics`."""
-        return {
-            row["joint"]: {part: JointErrors(**_without_none(row[part])) for part in ("train", "test", "baseline")}
-            for row in self.result["by_joint"]
-        }
+        return {row.joint: {part: row[part] for part in PARTS} for row in self.result.by_joint}
 
     @property
     def timestep(self) -> float:
@@ -218,7 +217,7 @@ class FittedDrive:
         """
         drive = self.origin if self.origin is not None and self.is_simulated else self
         parts = drive.bench, drive.model, drive.values, drive.segments
-        simulated = put_into_simulator(*parts, drive.result["settings"]["bench"], timestep, integrator)
+        simulated = put_into_simulator(*parts, drive.result.settings["bench"], timestep, integrator)
         return cast(Any, replace(drive, **simulated._asdict(), origin=drive))
 
     @property
@@ -345,8 +344,3 @@ class FittedDrive:
     def _drive(self) -> Drive:
         with jax.enable_x64(True):
             return Drive.assemble(self.bench, self.model, "auto", self.sampling)
-
-
-def _without_none(row: Any) -> dict[str, Any]:
-    """Return a row of `result.json` with NaN for null."""
-    return {key: np.nan if value is None else value for key, value in row.items()}

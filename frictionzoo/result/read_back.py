@@ -78,7 +78,7 @@ def put_law(model: FrictionModel, saved: dict[str, torch.Tensor], path: Path) ->
 
 def read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
     """Read the bench's parameter values by name; raise RunError if the names differ from its settings."""
-    values = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
+    values = {row.name: row.value for row in result.parameters if row.owner == "bench"}
     if set(values) != set(bench.params):
         saved, expected = (", ".join(sorted(names)) for names in (values, bench.params))
         line = f"parameters {saved} of the bench, expected {expected} as in its settings; run it again"

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -33,8 +33,8 @@ ALIKE = 15.0  # neighbouring rows that count as one independent row
 _log = logging.getLogger(__name__)
 
 
-def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]) -> types.ResidualRow | None:
-    """Return the section `residual`: residual factors of the torque in motion, as defined in `ResidualRow`.
+def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]) -> types.Residual | None:
+    """Return the section `residual`: residual factors of the torque in motion, as defined in `Residual`.
 
     Returns:
         Section. None: the residual torque has no finite derivative by the values, and a log line says so.
@@ -45,8 +45,8 @@ def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coord
         _log.info("no residual analysis: the residual torque has no derivative with these values")
         return None
     rows = [_describe(left, joint, slopes) for joint in range(bench.nv)]
-    section = {"unit": UNITS[bench.joint_type]["torque"], "bandwidth": left.bandwidth}
-    return cast(types.ResidualRow, {**section, "by_joint": [row for row in rows if row is not None]})
+    unit: Any = UNITS[bench.joint_type]["torque"]
+    return types.Residual(unit, left.bandwidth, [row for row in rows if row is not None])
 
 
 def _slopes(
@@ -66,39 +66,39 @@ def _slopes(
             continue
         moved = np.array(vector, np.float64)
         moved[indices[~at_bound[indices]]] += STEP
-        values = space.values(jnp.asarray(moved, space.start.dtype))["friction"]
+        values = space.values(jnp.asarray(moved, space.start.dtype)).friction
         torque = left.equation.left(moved, friction(values, left.equation.state(moved)))
         slopes.append((torque - left.torque)[:, :, None] / STEP)
     return np.concatenate(slopes, axis=2)
 
 
-def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.JointResidualRow | None:
+def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.JointResidual | None:
     """Return the residual analysis of one joint; None if it hardly moves."""
     rows = np.flatnonzero(left.counts[:, joint])
     if len(rows) < FEWEST:
         return None
     error, noise, friction = left.of(joint), left.noise(joint), left.friction[rows, joint]
     total = rms(friction + error)
-    return {
-        "joint": left.recordings.bench.joints[joint],
-        "rows": len(rows),
-        "residual": rms(error),
-        "noise": rms(noise),
-        "friction": total,
-        "correlation": attribution.correlation(error),
-        "noise_correlation": attribution.correlation(noise),
-        "kurtosis": attribution.excess(error),
-        "places": [row for row in _attribute(left, joint, slopes) if _counts(row, total)],
-    }
+    return types.JointResidual(
+        joint=left.recordings.bench.joints[joint],
+        rows=len(rows),
+        residual=rms(error),
+        noise=rms(noise),
+        friction=total,
+        correlation=attribution.correlation(error),
+        noise_correlation=attribution.correlation(noise),
+        kurtosis=attribution.excess(error),
+        places=[row for row in _attribute(left, joint, slopes) if _counts(row, total)],
+    )
 
 
-def _counts(place: types.PlaceRow, friction: float) -> bool:
+def _counts(place: types.ResidualFactor, friction: float) -> bool:
     """Return whether a residual factor is large enough to report."""
-    scale = place["value"] if place["place"] == "scale" else None
-    return place["torque"] > LITTLE * friction or (scale is not None and abs(np.log(scale)) > WRONG)
+    scale = place.value if place.place == "scale" else None
+    return place.torque > LITTLE * friction or (scale is not None and abs(np.log(scale)) > WRONG)
 
 
-def _attribute(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> list[types.PlaceRow]:
+def _attribute(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> list[types.ResidualFactor]:
     """Find the residual factors that exceed those of the reference, and the models that have them."""
     looked = _look(left, joint, slopes[0])
     if (gap := _find_gap(looked, left, joint)) is not None:
@@ -131,7 +131,7 @@ class _Looked(NamedTuple):
     periods: Float[np.ndarray, "periods"]
 
 
-def _find_gap(looked: _Looked, left: Left, joint: int) -> types.PlaceRow | None:
+def _find_gap(looked: _Looked, left: Left, joint: int) -> types.ResidualFactor | None:
     """Return the factor `gap` if most of the squared error is near sign changes of the motor torque."""
     near = places.near_crossings(looked.seen, list_samples(looked.decimate)[looked.rows])
     squares, fewest = np.square(looked.error), max(len(near) // ALONE, 1)
@@ -144,10 +144,8 @@ def _find_gap(looked: _Looked, left: Left, joint: int) -> types.PlaceRow | None:
     law = left.law(joint)[0].name
     if share < CONCENTRATED or chance > attribution.LEVEL:
         return None
-    row = {"place": "gap", "periods": None, "value": None, "share": share, "chance": chance}
-    torque = float(np.sqrt(share)) * rms(looked.error)
-    law_fields = {"known": law == GAP, "law": None if law == GAP else GAP, "whole": False}
-    return cast(types.PlaceRow, row | {"torque": torque} | law_fields)
+    torque, other = float(np.sqrt(share)) * rms(looked.error), None if law == GAP else GAP
+    return types.ResidualFactor("gap", None, None, share, torque, chance, known=law == GAP, law=other, whole=False)
 
 
 def _look(left: Left, joint: int, slopes: Float[np.ndarray, "rows nv parameters"]) -> _Looked:
@@ -187,22 +185,21 @@ def _name_law(
     columns: attribution.Columns,
     usual: attribution.Factors,
     joint: tuple[FrictionModel, set[str]],
-) -> types.PlaceRow:
-    place = RIPPLES.get(one.name, one.name)
+) -> types.ResidualFactor:
+    place: Any = RIPPLES.get(one.name, one.name)
     law, sees = joint
     name, whole = (None, False) if place in places.OF_BENCH else suggest_law(law, sees, place)
-    row = {
-        "place": place,
-        "periods": chosen[one.name] if one.name in RIPPLES else None,
-        "value": chosen["limit"] if place == "limit" else _value(place, looked, columns, usual),
-        "share": one.share,
-        "torque": float(np.sqrt(one.share)) * rms(looked.error),
-        "chance": one.chance,
-        "known": place in sees,
-        "law": name,
-        "whole": whole,
-    }
-    return cast(types.PlaceRow, row)
+    return types.ResidualFactor(
+        place=place,
+        periods=chosen[one.name] if one.name in RIPPLES else None,
+        value=chosen["limit"] if place == "limit" else _value(place, looked, columns, usual),
+        share=one.share,
+        torque=float(np.sqrt(one.share)) * rms(looked.error),
+        chance=one.chance,
+        known=place in sees,
+        law=name,
+        whole=whole,
+    )
 
 
 def _value(place: str, looked: _Looked, columns: attribution.Columns, usual: attribution.Factors) -> float | None:

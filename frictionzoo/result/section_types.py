@@ -1,11 +1,13 @@
 """Types of the sections of `result.json`: the run, its torque, residual analysis and verdict."""
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal
 
-from frictionzoo.result.kinds import Count, Moments, Natural, NotNegative, Positive, Text, Vector
+from msgspec import Meta, field
+
+from frictionzoo.core.records import Count, Moments, Natural, NotNegative, Positive, Record, Text, Vector
 
 
-class FitRow(TypedDict):
+class FitRecord(Record):
     """The fit."""
 
     method: str
@@ -27,18 +29,18 @@ class FitRow(TypedDict):
     by 1 % of their value if they have none. Names are `owner.name`, with several joints `owner.name/JOINT`."""
 
 
-class ChoiceRow(TypedDict):
+class AutomaticSetting(Record):
     """An option set automatically."""
 
     option: Text
     """Dotted name of the option."""
-    value: float | bool | str | list[float] | None
+    value: int | float | bool | str | list[float] | None
     """Chosen value."""
     reason: Text
     """Reason for the choice."""
 
 
-class PairedRow(TypedDict):
+class JointColumns(Record):
     """Columns of one joint."""
 
     joint: Text
@@ -48,19 +50,19 @@ class PairedRow(TypedDict):
     listed for each of them."""
 
 
-class ColumnsRow(TypedDict):
+class PairedColumns(Record):
     """Logs with the same headers, and the columns of each joint."""
 
-    logs: Annotated[list[str], ("minItems", 1)]
+    logs: Annotated[list[str], Meta(min_length=1)]
     """Names of the logs, as in `data.logs`."""
     by: dict[str, Literal["name", "listed", "place"]]
     """Matching of the columns of each signal. `name`: the headers name the joints. `listed`: the order of
     `data.columns` counts. `place`: the headers do not name the joints, and the order of the columns counts."""
-    joints: Annotated[list[PairedRow], ("minItems", 1)]
+    joints: Annotated[list[JointColumns], Meta(min_length=1)]
     """Columns of each joint, in the order of `joints`."""
 
 
-class TimingRow(TypedDict):
+class Timing(Record):
     """Wall-clock times [s]."""
 
     setup: NotNegative
@@ -78,21 +80,7 @@ class TimingRow(TypedDict):
     """Time from the start of the run to this file [s]."""
 
 
-class ProofRow(TypedDict):
-    """Difference between the engine and MuJoCo C."""
-
-    step: NotNegative
-    """Largest difference of a position or velocity after one step [rad or m, rad/s or m/s]; relative for values above
-    1."""
-    rollout: NotNegative
-    """The same after all steps."""
-    cases: Count
-    """Number of rollouts."""
-    steps: Count
-    """Steps in each rollout."""
-
-
-class WrittenRow(TypedDict):
+class WrittenModel(Record):
     """A model file written by the run, and its difference from the identified drive in MuJoCo C.
 
     The file is loaded unchanged: with its timestep, integrator, actuators and actuator delay, and with the recorded
@@ -123,23 +111,21 @@ class WrittenRow(TypedDict):
     """Limits of the file and instructions for its user, one sentence each."""
 
 
-Versions = TypedDict(
-    "Versions",
-    {
-        "frictionzoo": str,
-        "python": str,
-        "mujoco": str,
-        "mujoco-mjx": str,
-        "jax": str,
-        "torch": str,
-        "optax": str,
-        "lightning": str,
-        "numpy": str,
-    },
-)
+class Versions(Record):
+    """Versions of the packages that affect the numbers."""
+
+    python: str
+    frictionzoo: str
+    mujoco: str
+    mujoco_mjx: str = field(name="mujoco-mjx")
+    jax: str
+    torch: str
+    optax: str
+    lightning: str
+    numpy: str
 
 
-class TorqueErrorsRow(TypedDict):
+class TorqueErrors(Record):
     """Root mean squares over all compared samples of one part, for one joint or as the mean over the joints [unit].
 
     null: not finite.
@@ -151,27 +137,27 @@ class TorqueErrorsRow(TypedDict):
     """The drive's torque."""
 
 
-class TorquePartsRow(TypedDict):
+class TorqueParts(Record):
     """Mean over the joints on each part of the data."""
 
-    train: TorqueErrorsRow
+    train: TorqueErrors
     """Torques on the training logs."""
-    test: TorqueErrorsRow
+    test: TorqueErrors
     """Torques on the test logs."""
 
 
-class JointTorqueRow(TypedDict):
+class JointTorque(Record):
     """Torques of one joint on each part of the data."""
 
     joint: Text
     """Name of the joint."""
-    train: TorqueErrorsRow
+    train: TorqueErrors
     """Torques on the training logs."""
-    test: TorqueErrorsRow
+    test: TorqueErrors
     """Torques on the test logs."""
 
 
-class TorqueRow(TypedDict):
+class Torque(Record):
     """Residual torque of each joint."""
 
     compared: Literal["torque", "ctrl"]
@@ -184,13 +170,13 @@ class TorqueRow(TypedDict):
     """Bandwidth of the comparison [Hz]; see `evaluation.torque`."""
     held: bool
     """Whether the command is held until the next sample; false: it acts at its instant only, like measured torque."""
-    mean: TorquePartsRow
+    mean: TorqueParts
     """Mean over the joints."""
-    by_joint: Annotated[list[JointTorqueRow], ("minItems", 1)]
+    by_joint: Annotated[list[JointTorque], Meta(min_length=1)]
     """The same for each joint, in the order of `joints`."""
 
 
-class InertiaRow(TypedDict):
+class Inertia(Record):
     """Inertia of a body."""
 
     mass: Positive
@@ -201,21 +187,21 @@ class InertiaRow(TypedDict):
     """Inertia about the centre of mass, along the axes of the body's frame: ixx, iyy, izz, ixy, ixz, iyz [kg m^2]."""
 
 
-class LinkRow(TypedDict):
+class Link(Record):
     """A link with estimated inertia."""
 
     body: Text
     """Name of the body."""
-    found: InertiaRow
+    found: Inertia
     """Estimated inertia; physically consistent, with the model file's inertia as the prior."""
-    maker: InertiaRow
+    maker: Inertia
     """Inertia in the model file."""
     prior_only: list[str]
     """Parameters of the link that the data do not determine, alone or in combination; their values come from the prior.
     Symbols: m [kg], mx, my, mz [kg m], Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2, about the frame's origin]."""
 
 
-class BaseRow(TypedDict):
+class BaseParameter(Record):
     """A base parameter: a combination of parameters of links, armatures and other torque terms."""
 
     combination: Text
@@ -229,7 +215,7 @@ class BaseRow(TypedDict):
     deviation, or of the value if it has no prior."""
 
 
-class GravityRow(TypedDict):
+class Gravity(Record):
     """Gravity in the frame of the base, with the magnitude of the model file."""
 
     found: Vector
@@ -243,21 +229,21 @@ class GravityRow(TypedDict):
     infinite."""
 
 
-class LinksRow(TypedDict):
+class Links(Record):
     """Link inertias and gravity, estimated before the fit."""
 
-    links: list[LinkRow]
+    links: list[Link]
     """Estimated inertia of each link; the rest of the run treats it as known."""
-    gravity: GravityRow | None
+    gravity: Gravity | None
     """Estimated gravity (`fit.tilt`); the rest of the run treats it as known. null: gravity of the model file."""
     determined: Natural
     """Number of base parameters determined by the data."""
-    base: list[BaseRow]
+    base: list[BaseParameter]
     """All base parameters that torque can determine, of the links and of the parameters estimated with them; parameters
     in none of them have no effect."""
 
 
-class PlaceRow(TypedDict):
+class ResidualFactor(Record):
     """A residual factor: a quantity that explains part of the residual torque."""
 
     place: Literal[
@@ -282,12 +268,12 @@ class PlaceRow(TypedDict):
     motion; `pull`: position, alike in both directions, which is not friction; `temperature`: temperature; `reversal`:
     time since the last reversal of the motion; `gap`: time around sign changes of the motor torque, as from
     backlash."""
-    value: float | None
-    """Estimated value: the constant torque or the limit [unit], the factor of the actuator torque, or the delay [s];
-    null: no single value."""
     periods: Positive | None
     """Periods of a ripple over the position, as in the model `ripple`: per turn on a hinge, 2 pi / period [1/m] on a
     slide; null: no ripple."""
+    value: float | None
+    """Estimated value: the constant torque or the limit [unit], the factor of the actuator torque, or the delay [s];
+    null: no single value."""
     share: float
     """Share of the residual torque's variance explained in held-out stretches of time, beyond the factors found before
     it and beyond its effect in the reference (`noise`). For `gap`, the share concentrated around the sign changes."""
@@ -303,7 +289,7 @@ class PlaceRow(TypedDict):
     """Whether that model also has all terms of the present model."""
 
 
-class JointResidualRow(TypedDict):
+class JointResidual(Record):
     """Residual torque of a joint in motion."""
 
     joint: Text
@@ -324,25 +310,25 @@ class JointResidualRow(TypedDict):
     """The same for the reference (`noise`)."""
     kurtosis: float
     """Excess kurtosis of the residual torque; 0 for normal noise."""
-    places: Annotated[list[PlaceRow], ("maxItems", 3)]
+    places: Annotated[list[ResidualFactor], Meta(max_length=3)]
     """Significant residual factors, largest share first; empty: no tested factor explains the residual torque."""
 
 
-class ResidualRow(TypedDict):
+class Residual(Record):
     """Residual torque under the training commands."""
 
     unit: Literal["N m", "N"]
     """Unit of all torques or forces in this section."""
     bandwidth: Positive
     """Bandwidth of the analysis [Hz]: as in `torque`, or lower if encoder noise dominates."""
-    by_joint: list[JointResidualRow]
+    by_joint: list[JointResidual]
     """Residual analysis of each joint that moves enough."""
 
 
 Grade = Literal["nothing speaks against it", "use it with care", "do not use it"]
 
 
-class FindingRow(TypedDict):
+class ResultFinding(Record):
     """A problem of the result."""
 
     kind: Literal[
@@ -371,7 +357,7 @@ class FindingRow(TypedDict):
     it."""
 
 
-class CommandRow(TypedDict):
+class Command(Record):
     """A command to copy."""
 
     kind: Literal["repair", "inspect", "law", "recording", "export"]
@@ -381,13 +367,13 @@ class CommandRow(TypedDict):
     """Shell command."""
 
 
-class VerdictRow(TypedDict):
+class Verdict(Record):
     """Problems of a result, and next steps."""
 
     grade: Grade
     """Overall grade."""
-    findings: list[FindingRow]
+    findings: list[ResultFinding]
     """Problems, causes first and then severe ones; empty: no problem found."""
-    commands: list[CommandRow]
+    commands: list[Command]
     """Commands to copy, in this order. A result that must not be used gets no recording and no export; a result with a
     repair gets no recording."""

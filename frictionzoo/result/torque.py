@@ -3,12 +3,12 @@
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Literal, cast
+from operator import itemgetter
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench import Bench
 from frictionzoo.bench.actuators.force import Force
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.params import UNITS
@@ -46,8 +46,8 @@ def measure_torque(
     space: Space,
     vector: Float[np.ndarray, "coordinates"],
     filtering: tuple[Filtering, bool],
-) -> types.TorqueRow | None:
-    """Compute the root mean square residual torque of each joint, as defined in `TorqueRow`.
+) -> types.Torque | None:
+    """Compute the root mean square residual torque of each joint, as defined in `Torque`.
 
     `recordings` has all logs, with the `train` training logs first; `filtering` comes from `choose_filtering`.
 
@@ -65,11 +65,23 @@ def measure_torque(
         _log.info("residual torque not computed: %s", error)
         return None
     training_rows = int(np.cumsum(equation.decimate.rows)[train - 1])
-    halves = [np.split(torque, [training_rows]) for torque in (residual, driving)]
-    rms = {part: _rms(*torques) for part, torques in zip(("train", "test"), zip(*halves, strict=True), strict=True)}
-    chosen, held = filtering
-    options = {"compared": compared, "bandwidth": chosen.bandwidth, "held": held and not measured}
-    return cast(types.TorqueRow, options | _describe(recordings.bench, rms))
+    parts = slice(training_rows), slice(training_rows, None)
+    unit: Any = UNITS[recordings.bench.joint_type]["torque"]
+
+    def measure(part: slice, of: Callable[[np.ndarray], Any]) -> types.TorqueErrors:
+        return types.TorqueErrors(*(float(of(_rms(torque[part]))) for torque in (residual, driving)))
+
+    return types.Torque(
+        compared=compared,
+        unit=unit,
+        bandwidth=filtering[0].bandwidth,
+        held=filtering[1] and not measured,
+        mean=types.TorqueParts(*(measure(part, np.mean) for part in parts)),
+        by_joint=[
+            types.JointTorque(joint, *(measure(part, itemgetter(index)) for part in parts))
+            for index, joint in enumerate(recordings.bench.joints)
+        ],
+    )
 
 
 def _find_torque(recordings: Recordings) -> Literal["torque", "ctrl"] | None:
@@ -85,20 +97,5 @@ def _find_torque(recordings: Recordings) -> Literal["torque", "ctrl"] | None:
     return "ctrl" if isinstance(bench.actuator, Force) else None
 
 
-def _rms(*torques: Float[np.ndarray, "rows nv"]) -> Float[np.ndarray, "torques nv"]:
-    return np.stack([np.sqrt(np.mean(np.square(torque), axis=0)) for torque in torques])
-
-
-def _describe(bench: Bench, found: Mapping[str, Float[np.ndarray, "torques nv"]]) -> dict[str, Any]:
-    """Return the root mean squares of each part, averaged over the joints and for each joint."""
-
-    def row(of: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
-        return {part: dict(zip(("residual", "torque"), of(rms).tolist(), strict=True)) for part, rms in found.items()}
-
-    return {
-        "unit": UNITS[bench.joint_type]["torque"],
-        "mean": row(lambda rms: rms.mean(axis=1)),
-        "by_joint": [
-            {"joint": joint, **row(lambda rms, index=index: rms[:, index])} for index, joint in enumerate(bench.joints)
-        ],
-    }
+def _rms(torque: Float[np.ndarray, "rows nv"]) -> Float[np.ndarray, "nv"]:
+    return np.sqrt(np.mean(np.square(torque), axis=0))

@@ -1,13 +1,14 @@
 """Types of `result.json`, from which `make docs` generates `result.schema.json`.
 
-The text below a key becomes its description; entries of `Annotated` after a type become JSON schema keywords.
+The text below a field becomes its description.
 """
 
-from typing import Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
 
 from frictionzoo.core.log import Origin
-from frictionzoo.result.card import CardRow
-from frictionzoo.result.kinds import (
+from frictionzoo.core.records import (
     Carried,
     Count,
     Interval,
@@ -16,30 +17,31 @@ from frictionzoo.result.kinds import (
     Natural,
     NotNegative,
     Number,
-    PerJoint,
     Positive,
+    Proof,
+    Record,
     Samples,
     Sha256,
     Simulator,
     Text,
     WhereThere,
 )
+from frictionzoo.result.card import Card
 from frictionzoo.result.section_types import (
-    ChoiceRow,
-    ColumnsRow,
-    FitRow,
-    LinksRow,
-    ProofRow,
-    ResidualRow,
-    TimingRow,
-    TorqueRow,
-    VerdictRow,
+    AutomaticSetting,
+    FitRecord,
+    Links,
+    PairedColumns,
+    Residual,
+    Timing,
+    Torque,
+    Verdict,
     Versions,
-    WrittenRow,
+    WrittenModel,
 )
 
 
-class LogRow(TypedDict):
+class UsedLog(Record):
     """One recording or one block of a recording."""
 
     name: str
@@ -54,7 +56,7 @@ class LogRow(TypedDict):
     """Payload of the drive: mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2]."""
 
 
-class DataRow(TypedDict):
+class Data(Record):
     """The data set, recorded or simulated."""
 
     name: str
@@ -69,11 +71,11 @@ class DataRow(TypedDict):
     """Sample interval [s]."""
     samples: Samples
     """Number of samples in all logs, training and test."""
-    logs: Annotated[list[LogRow], ("minItems", 2)]
+    logs: Annotated[list[UsedLog], Meta(min_length=2)]
     """All recordings or blocks of recordings."""
 
 
-class ValueRow(TypedDict):
+class Value(Record):
     """Value of a parameter for one joint, or for joints that share a value."""
 
     name: Text
@@ -97,32 +99,8 @@ class ValueRow(TypedDict):
     """Whether the data determine the value; null: known value, or no intervals estimated."""
 
 
-class ReferenceRow(TypedDict):
-    """One parameter of the frictionless reference."""
-
-    name: str
-    """Name of the parameter, as in `parameters`."""
-    owner: Literal["bench"]
-    """Owner of the parameter; always the bench, because the reference has no friction."""
-    value: float | PerJoint
-    """Value; with several joints, a list in their order."""
-    unit: str
-    """SI unit; 1 for a dimensionless number."""
-    low: float | PerJoint
-    """Lower bound of the fit; a list in the order of the joints if it differs between them."""
-    high: float | PerJoint
-    """Upper bound of the fit; a list in the order of the joints if it differs between them."""
-    identified: bool
-    """Whether the fit chose the value, in at least one joint; false: known value."""
-    at_bound: bool
-    """Whether the fit ended at a bound, in at least one joint. If true, the reference is not a realistic drive, and
-    changes relative to its errors mean little."""
-    by_joint: Annotated[list[ValueRow], ("minItems", 1)]
-    """The same for each joint, in their order; joints that share a value have one entry."""
-
-
-class ParameterRow(TypedDict):
-    """One physical parameter of the bench or the friction model."""
+class ReferenceParameter(Record):
+    """One physical parameter of a fitted drive, without its uncertainty."""
 
     name: str
     """Name of the parameter in MuJoCo or the literature."""
@@ -141,8 +119,16 @@ class ParameterRow(TypedDict):
     """Whether the fit chose the value, in at least one joint; false: known value."""
     at_bound: bool
     """Whether the fit ended at a bound, in at least one joint; false for a known value. At a bound, the best value may
-    lie outside the bounds."""
-    interval: Interval | Intervals | None
+    lie outside the bounds. If true for the frictionless reference, it is not a realistic drive, and changes relative to
+    its errors mean little."""
+    by_joint: Annotated[list[Value], Meta(min_length=1)]
+    """The same for each joint, in their order; joints that share a value have one entry."""
+
+
+class Parameter(ReferenceParameter):
+    """One physical parameter of the bench or the friction model."""
+
+    interval: Intervals | None
     """95 % confidence interval [lower end, upper end], limited to the bounds; with several joints, a list in their
     order. It follows from the curvature of the loss and the variation of its gradient between stretches of the training
     data, or between recordings. With `discretisation`, it extends to the value extrapolated to a timestep of 0. null:
@@ -151,18 +137,16 @@ class ParameterRow(TypedDict):
     identifiable: bool | None
     """Whether the data determine the value. false: in at least one joint, the interval is missing, reaches a bound or
     is too wide. null: known value, or no intervals estimated."""
-    by_joint: Annotated[list[ValueRow], ("minItems", 1)]
-    """The same for each joint, in their order; joints that share a value have one entry."""
 
 
-class NetworkRow(TypedDict):
+class Network(Record):
     """Trained network of a friction model."""
 
     weights: Count
     """Number of weights and biases."""
 
 
-class MetricsRow(TypedDict):
+class Metrics(Record):
     """Errors of open-loop rollouts from measured states under recorded commands.
 
     The errors exclude diverged rollouts.
@@ -189,18 +173,18 @@ class MetricsRow(TypedDict):
     """Number of diverged rollouts, with a value that is not finite."""
 
 
-class PartsRow(TypedDict):
+class PartMetrics(Record):
     """Errors on each part of the data."""
 
-    train: MetricsRow
+    train: Metrics
     """Errors on the training logs."""
-    test: MetricsRow
+    test: Metrics
     """Errors on the test logs."""
-    baseline: MetricsRow
+    baseline: Metrics
     """Errors of the frictionless reference on the rollouts of `test`."""
 
 
-class JointErrorsRow(TypedDict):
+class JointErrors(Record):
     """Errors of one joint in the rollouts of one part, without diverged rollouts."""
 
     position_mae: NotNegative | None
@@ -211,51 +195,51 @@ class JointErrorsRow(TypedDict):
     """Root mean square velocity error [velocity_unit]."""
 
 
-class JointRow(TypedDict):
+class JointMetrics(Record):
     """Errors of one joint on each part of the data, in the rollouts and units of `metrics`."""
 
     joint: Text
     """Name of the joint."""
-    train: JointErrorsRow
+    train: JointErrors
     """Errors on the training logs."""
-    test: JointErrorsRow
+    test: JointErrors
     """Errors on the test logs."""
-    baseline: JointErrorsRow
+    baseline: JointErrors
     """Errors of the frictionless reference on the rollouts of `test`."""
 
 
-class HorizonRow(TypedDict):
+class HorizonMetrics(Record):
     """Errors of rollouts of one length on each part of the data."""
 
     horizon: Positive
     """Length of each rollout [s]."""
-    train: MetricsRow
+    train: Metrics
     """Errors on the training logs."""
-    test: MetricsRow
+    test: Metrics
     """Errors on the test logs."""
-    baseline: MetricsRow
+    baseline: Metrics
     """Errors of the frictionless reference on the rollouts of `test`."""
 
 
-class ContrastRow(TypedDict):
+class Contrast(Record):
     """Errors with and without friction."""
 
-    model: MetricsRow
+    model: Metrics
     """Errors of the identified drive."""
-    baseline: MetricsRow
+    baseline: Metrics
     """Errors of the frictionless reference on the same rollouts."""
 
 
-class PaperRow(TypedDict):
+class Paper(Record):
     """The two evaluations of Kovalev et al. (2026), on test data."""
 
-    a: ContrastRow
+    a: Contrast
     """One long rollout, as in figures 4 and 5."""
-    b: ContrastRow
+    b: Contrast
     """Rollouts of the main horizon at random places."""
 
 
-class EvaluationRow(TypedDict):
+class EvaluationRollouts(Record):
     """The evaluation rollouts."""
 
     sha256: Sha256
@@ -265,13 +249,13 @@ class EvaluationRow(TypedDict):
     """Width of the moving mean of the long rollout's error in figures [s]."""
 
 
-class CovarianceRow(TypedDict):
+class JointUncertainty(Record):
     """Joint uncertainty of all parameters with an interval: a multivariate Student's t distribution.
 
     It describes the optimiser's coordinates: logarithms, or values divided by a scale. Its marginals are the intervals.
     """
 
-    labels: Annotated[list[Text], ("minItems", 1)]
+    labels: Annotated[list[Text], Meta(min_length=1)]
     """Full names of the parameters: OWNER.NAME; with several joints OWNER.NAME/JOINT, where JOINT is the joint or the
     group that shares the value."""
     scale: list[Literal["log"] | float]
@@ -285,7 +269,7 @@ class CovarianceRow(TypedDict):
     """Degrees of freedom of the t distribution."""
 
 
-class Result(TypedDict):
+class Result(Record):
     """The record of one identification run.
 
     Numbers are in SI units, angles in radians. null stands for a number that does not exist, for example if all
@@ -298,26 +282,29 @@ class Result(TypedDict):
     """Name of the friction model."""
     joints: Joints
     """Names of the identified joints; lists with one entry for each joint have this order."""
-    data: DataRow
-    columns: list[ColumnsRow]
+    data: Data
+    columns: list[PairedColumns]
     """Columns of each joint in the recordings; empty if the recordings are not tables."""
-    parameters: list[ParameterRow]
+    parameters: list[Parameter]
     """Physical parameters of bench and friction model. Network weights are in friction.safetensors."""
-    indistinct: list[Annotated[list[str], ("minItems", 2)]]
+    indistinct: list[Annotated[list[str], Meta(min_length=2)]]
     """Groups of parameters that the data cannot tell apart, by full name: OWNER.NAME; with several joints
     OWNER.NAME/JOINT, where JOINT is the joint or the group that shares the value. The data determine only a combination
     of each group: set all but one of its parameters to known values."""
     no_intervals: str | None
     """Reason why no parameter has an interval; null: intervals estimated."""
-    covariance: CovarianceRow | None
+    covariance: JointUncertainty | None
     """Joint uncertainty of the parameters; null: no parameter has an interval."""
-    network: NetworkRow | None
+    network: Network | None
     """Trained network of the friction model; null: the model has none."""
-    metrics: PartsRow
+    metrics: PartMetrics
     """Errors of open-loop rollouts at the main horizon, the first of `by_horizon`."""
-    by_joint: Annotated[list[JointRow], ("minItems", 1)]
+    by_horizon: Annotated[list[HorizonMetrics], Meta(min_length=1)]
+    """The errors of `metrics` at every horizon of the evaluation."""
+    paper: Paper
+    by_joint: Annotated[list[JointMetrics], Meta(min_length=1)]
     """Errors of each joint in the rollouts of `metrics`, in the order of `joints`."""
-    torque: TorqueRow | None
+    torque: Torque | None
     """Residual torque against recorded torque, with the final values and without a simulation: the drive's torque minus
     armature times acceleration, sliding friction, and the links' torque from MuJoCo's inverse dynamics. Positions are
     the recorded ones after a zero-phase low-pass; velocities and accelerations are their derivatives. All torques pass
@@ -325,25 +312,22 @@ class Result(TypedDict):
     period at each end of each log is excluded; all other samples count, slow ones too. A model with memory contributes
     its steady torque at constant velocity. null: no recorded torque, a model that exists only in torch, or logs that
     are too short."""
-    residual: ResidualRow | None
+    residual: Residual | None
     """Residual analysis of the training recordings, without a simulation: whether the residual torque is noise, and
     otherwise which factors explain it. The residual torque is the actuator model's torque minus armature times
     acceleration, friction, and the links' torque from MuJoCo's inverse dynamics, filtered as in `torque`. Samples near
     rest are excluded. The memory of a friction model follows the recorded motion. null: the training recordings are too
     short, or the residual torque or its derivative is not finite."""
-    links: LinksRow | None
+    links: Links | None
     """Link inertias (`fit.links`) and gravity (`fit.tilt`) estimated before the fit, with their uncertainty; null:
     neither was estimated."""
-    reference: list[ReferenceRow]
+    reference: list[ReferenceParameter]
     """Parameters of the frictionless reference: the same bench, fitted without friction to the same segments. Its
     errors are in `metrics.baseline`."""
-    by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]
-    """The errors of `metrics` at every horizon of the evaluation."""
-    paper: PaperRow
-    evaluation: EvaluationRow
-    fit: FitRow
-    timing: TimingRow
-    recipe: list[ChoiceRow]
+    evaluation: EvaluationRollouts
+    fit: FitRecord
+    timing: Timing
+    recipe: list[AutomaticSetting]
     """Automatic settings (`recipe=auto`): the options chosen on the training recordings, in the order of choice; empty:
     no option was chosen."""
     seed: int
@@ -352,7 +336,7 @@ class Result(TypedDict):
     """Floating-point type of the simulation."""
     engine: Simulator
     """Simulation engine."""
-    proof: ProofRow
+    proof: Proof
     """Verification: largest difference between the engine and MuJoCo C with the MJCF that would be exported, in
     float64, on short rollouts from states within and beyond the recorded range. A run with a difference above 1e-9
     stops before the fit."""
@@ -361,20 +345,20 @@ class Result(TypedDict):
     from the automatic settings."""
     notes: list[Text]
     """Parts of a robot's model file that were left out or changed, one sentence each."""
-    written: list[WrittenRow]
-    """Model files written by the run; empty for a drive that was not saved."""
-    not_identified: list[Text] | None
-    """Reason why the fit did not identify the drive, followed by the likely causes, likeliest first; null: no sign of
-    failure."""
-    verdict: VerdictRow
-    """Overall assessment of the result, with next steps."""
     device: Text
     """Device of the computation, for example cpu."""
     versions: Versions
     """Versions of the packages that affect the numbers."""
-    card: CardRow | None
+    card: Card | None
     """Published drive in a folder without recordings and paths of a machine, which has file names instead of paths, no
     commands in `verdict`, and the bench of template.xml in `settings`; null: an ordinary run."""
     settings: dict[str, Any]
     """All options of the run, as in `.hydra/config.yaml`, with computed values. For a distilled drive also `teacher`,
     the folder of the teacher's run."""
+    written: list[WrittenModel]
+    """Model files written by the run; empty for a drive that was not saved."""
+    not_identified: list[Text] | None
+    """Reason why the fit did not identify the drive, followed by the likely causes, likeliest first; null: no sign of
+    failure."""
+    verdict: Verdict
+    """Overall assessment of the result, with next steps."""

@@ -10,12 +10,12 @@ from frictionzoo.bench.base import Bench
 from frictionzoo.core.params import Param
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.result.names import name_first
-from frictionzoo.result.types import Result, ValueRow
+from frictionzoo.result.types import Result, Value
 
 ALL = "all joints"
 
 
-class Parameter(NamedTuple):
+class ParameterArrays(NamedTuple):
     """One physical parameter of a run's result.
 
     Attributes:
@@ -32,23 +32,23 @@ class Parameter(NamedTuple):
     identified: bool
     interval: Float[np.ndarray, "nv 2"]
     identifiable: bool | None
-    by_joint: Sequence[ValueRow]
+    by_joint: Sequence[Value]
 
 
-def read_parameters(result: Result, nv: int) -> dict[str, Parameter]:
+def read_parameters(result: Result, nv: int) -> dict[str, ParameterArrays]:
     """Read the physical parameters of bench and friction model from a record, by full name (`bench.armature`)."""
     parameters = {}
-    for row in result["parameters"]:
-        value, interval = row["value"], row["interval"]
+    for row in result.parameters:
+        value, interval = row.value, row.interval
         ends: Any = interval if interval is not None and isinstance(value, list) else [interval]
         ends = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
         arrays = np.broadcast_to(np.asarray(value, np.float64), nv), np.broadcast_to(ends, (nv, 2))
-        details = row["identified"], arrays[1], row["identifiable"], row["by_joint"]
-        parameters[f"{row['owner']}.{row['name']}"] = Parameter(arrays[0], row["unit"], *details)
+        details = row.identified, arrays[1], row.identifiable, row.by_joint
+        parameters[f"{row.owner}.{row.name}"] = ParameterArrays(arrays[0], row.unit, *details)
     return parameters
 
 
-def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncertainty: Uncertainty) -> list[ValueRow]:
+def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncertainty: Uncertainty) -> list[Value]:
     """List a parameter's entries in joint order; `full` is its full name, `value` covers the joints that have it."""
     nv = bench.nv
     value = param.spread(np.asarray(value, np.float64), nv)
@@ -57,19 +57,19 @@ def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncert
     intervals = uncertainty.intervals.get(full, np.full((nv, 2), np.nan))
     determined = uncertainty.determined.get(full)
 
-    def describe(name: str, joints: Sequence[int]) -> ValueRow:
+    def describe(name: str, joints: Sequence[int]) -> Value:
         first = joints[0]
-        return {
-            "name": name,
-            "joints": [bench.joints[joint] for joint in joints],
-            "value": float(value[first]),
-            "low": float(low[first]),
-            "high": float(high[first]),
-            "identified": bool(identified[first]),
-            "at_bound": bool(at_bound[first]),
-            "interval": intervals[first].tolist() if np.isfinite(intervals[first]).all() else None,
-            "identifiable": bool(determined[first]) if determined is not None and identified[first] else None,
-        }
+        return Value(
+            name=name,
+            joints=[bench.joints[joint] for joint in joints],
+            value=float(value[first]),
+            low=float(low[first]),
+            high=float(high[first]),
+            identified=bool(identified[first]),
+            at_bound=bool(at_bound[first]),
+            interval=intervals[first].tolist() if np.isfinite(intervals[first]).all() else None,
+            identifiable=bool(determined[first]) if determined is not None and identified[first] else None,
+        )
 
     return [describe(*group) for group in _group(bench, param, value).items()]
 

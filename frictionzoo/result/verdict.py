@@ -1,7 +1,7 @@
 """Verdict on a result: findings, causes first, a grade and next commands, for terminal, page and `result.json`."""
 
 from collections.abc import Iterator, Sequence
-from typing import cast
+from typing import Any, Final
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import say_percent
 from frictionzoo.result import section_types as types
 from frictionzoo.result.names import name_some, name_unidentifiable, name_where, say_bounds
-from frictionzoo.result.types import MetricsRow, ParameterRow, ReferenceRow, Result
+from frictionzoo.result.types import Metrics, Parameter, ReferenceParameter, Result
 
-DO_NOT_USE = "do not use it"
+DO_NOT_USE: Final = "do not use it"
 """Grade of a result that must not be used."""
 PURPOSES = {
     "repair": "the corrected run",
@@ -55,65 +55,65 @@ CAUSES = ("identification", "recordings", "residual", "torque")
 _MORE = "raise fit.iterations"
 
 
-def judge(result: Result, commands: Sequence[types.CommandRow] = ()) -> types.VerdictRow:
-    """Return the verdict on a record, ignoring its `verdict`; `commands` are suggested in `VerdictRow`'s order."""
+def judge(result: Result, commands: Sequence[types.Command] = ()) -> types.Verdict:
+    """Return the verdict on a record, ignoring its `verdict`; `commands` are suggested in `Verdict`'s order."""
     ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
-    findings = sorted(_find_doubts(result), key=lambda row: (ranks.get(row["kind"], len(ranks)), not row["severe"]))
-    severe = any(finding["severe"] for finding in findings)
-    grade = DO_NOT_USE if severe else "use it with care" if findings else "nothing speaks against it"
-    allowed = _allow(commands, grade, identified=not result["not_identified"])
-    return cast(types.VerdictRow, {"grade": grade, "findings": findings, "commands": allowed})
+    findings = sorted(_find_doubts(result), key=lambda row: (ranks.get(row.kind, len(ranks)), not row.severe))
+    severe = any(finding.severe for finding in findings)
+    grade: types.Grade = DO_NOT_USE if severe else "use it with care" if findings else "nothing speaks against it"
+    allowed = _allow(commands, grade, identified=not result.not_identified)
+    return types.Verdict(grade, findings, allowed)
 
 
-def _allow(commands: Sequence[types.CommandRow], grade: str, identified: bool) -> list[types.CommandRow]:
+def _allow(commands: Sequence[types.Command], grade: str, identified: bool) -> list[types.Command]:
     """Return the commands that are safe to suggest: wrong values belong neither on hardware nor in exports."""
-    kinds = {row["kind"] for row in commands}
+    kinds = {row.kind for row in commands}
     left_out: set[str] = {"recording"} if "repair" in kinds else set()
     if grade == DO_NOT_USE:
         left_out |= {"recording", "export"} | ({"law"} if "repair" in kinds or not identified else set())
     elif "repair" in kinds or "recording" in kinds:
         left_out |= {"inspect"}
-    return [row for row in commands if row["kind"] not in left_out]
+    return [row for row in commands if row.kind not in left_out]
 
 
 def is_usable(result: Result) -> bool:
     """Return whether the verdict allows export and experiment design."""
-    return result["verdict"]["grade"] != DO_NOT_USE
+    return result.verdict.grade != DO_NOT_USE
 
 
-def say_purposes(commands: Sequence[types.CommandRow]) -> str:
+def say_purposes(commands: Sequence[types.Command]) -> str:
     """Return the purposes of suggested commands."""
-    return ", ".join(PURPOSES[row["kind"]] for row in commands)
+    return ", ".join(PURPOSES[row.kind] for row in commands)
 
 
-def say_finding(finding: types.FindingRow) -> str:
+def say_finding(finding: types.ResultFinding) -> str:
     """Return a finding with its remedy in one sentence."""
-    return finding["text"] + (f"; {finding['mend']}" if finding["mend"] else "")
+    return finding.text + (f"; {finding.mend}" if finding.mend else "")
 
 
-def _find_doubts(result: Result) -> Iterator[types.FindingRow]:
+def _find_doubts(result: Result) -> Iterator[types.ResultFinding]:
     """Yield all findings of a result, in the order of the checks."""
-    if result["not_identified"]:
-        why, *reasons = result["not_identified"]
+    if result.not_identified:
+        why, *reasons = result.not_identified
         yield _find(
             "identification", f"the drive was not identified: {why}", f"likely reasons: {'; '.join(reasons)}", True
         )
-    for sentence in result["warnings"]:
+    for sentence in result.warnings:
         yield _find("recordings", sentence)
-    if result["residual"]:
-        yield from _doubt_residual(result["residual"])
-    if result["torque"]:
-        yield from _doubt_torque(result["torque"])
+    if result.residual:
+        yield from _doubt_residual(result.residual)
+    if result.torque:
+        yield from _doubt_torque(result.torque)
     yield from doubt_errors(result)
     if doubt := doubt_joints(result):
         yield _find("joints", doubt)
-    if (doubt := doubt_reference(result["reference"])) and not _is_explained(result["residual"]):
+    if (doubt := doubt_reference(result.reference)) and not _is_explained(result.residual):
         yield _find("reference", doubt)
     yield from _doubt_train(result)
-    yield from _doubt_fit(result["fit"])
-    for p in result["parameters"]:
-        if p["at_bound"]:
-            unit = "" if p["unit"] == "1" else f" {p['unit']}"
+    yield from _doubt_fit(result.fit)
+    for p in result.parameters:
+        if p.at_bound:
+            unit = "" if p.unit == "1" else f" {p.unit}"
             text = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
             yield _find("bounds", text, "widen the bounds or try another model", severe=_is_cut_off(p))
     yield from _doubt_parameters(result)
@@ -121,17 +121,17 @@ def _find_doubts(result: Result) -> Iterator[types.FindingRow]:
 
 
 def _find(
-    kind: str, text: str, mend: str | None = None, severe: bool = False, law: str | None = None
-) -> types.FindingRow:
-    return cast(types.FindingRow, {"kind": kind, "severe": severe, "text": text, "mend": mend, "law": law})
+    kind: Any, text: str, mend: str | None = None, severe: bool = False, law: str | None = None
+) -> types.ResultFinding:
+    return types.ResultFinding(kind, severe, text, mend, law)
 
 
-def doubt_errors(result: Result) -> Iterator[types.FindingRow]:
+def doubt_errors(result: Result) -> Iterator[types.ResultFinding]:
     """Yield the finding on a test error that is missing, or hardly below the one without friction."""
-    test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    test, baseline = (result.metrics[part].position_mae for part in ("test", "baseline"))
     if test is None:
         yield _find("gain", "no test error: every test rollout diverged", severe=True)
-    elif result["model"] == "baseline" or not baseline or test <= NOTHING * baseline:
+    elif result.model == "baseline" or not baseline or test <= NOTHING * baseline:
         return
     elif test >= baseline:
         text = "on test data the model is no better than a drive without friction"
@@ -144,103 +144,103 @@ def doubt_errors(result: Result) -> Iterator[types.FindingRow]:
         )
 
 
-def _doubt_train(result: Result) -> Iterator[types.FindingRow]:
-    train, test = (result["metrics"][part]["position_mae"] for part in ("train", "test"))
+def _doubt_train(result: Result) -> Iterator[types.ResultFinding]:
+    train, test = (result.metrics[part].position_mae for part in ("train", "test"))
     if train is None or test is None or train == 0:
         yield _find("train", "test and training error cannot be compared: one is missing")
     elif test > OVERFIT * train:
         text = f"the test error is {test / train:.2g} times the training error"
-        free = sum(row["identified"] for parameter in result["parameters"] for row in parameter["by_joint"])
-        free += result["network"]["weights"] if result["network"] else 0
-        samples = sum(log["samples"] for log in result["data"]["logs"] if log["part"] == "train")
+        free = sum(row.identified for parameter in result.parameters for row in parameter.by_joint)
+        free += result.network.weights if result.network else 0
+        samples = sum(log.samples for log in result.data.logs if log.part == "train")
         remedy = "the test data contain motion that the training data lack: compare speeds, loads and times"
         yield _find("train", text, f"the fit may be overfitted, or {remedy}" if ENOUGH * free > samples else remedy)
 
 
-def _doubt_fit(fit: types.FitRow) -> Iterator[types.FindingRow]:
-    if fit["stopped"] == "diverged":
-        text = f"the fit diverged after {fit['iterations']} iterations"
+def _doubt_fit(fit: types.FitRecord) -> Iterator[types.ResultFinding]:
+    if fit.stopped == "diverged":
+        text = f"the fit diverged after {fit.iterations} iterations"
         yield _find("fit", text, "lower the step size or start from other values", severe=True)
-    if fit["stopped"] == "finished" and fit["method"] == "lm":
-        yield _find("fit", f"the fit did not converge within {fit['iterations']} iterations", _MORE)
-    if fit["falling"] > FALLING:
+    if fit.stopped == "finished" and fit.method == "lm":
+        yield _find("fit", f"the fit did not converge within {fit.iterations} iterations", _MORE)
+    if fit.falling > FALLING:
         yield _find(
-            "fit", f"the loss still fell by {100 * fit['falling']:.2g} % in the last tenth of the iterations", _MORE
+            "fit", f"the loss still fell by {100 * fit.falling:.2g} % in the last tenth of the iterations", _MORE
         )
-    if fit["moving"]:
-        yield _find("fit", f"still moving at the end of the fit: {', '.join(fit['moving'])}", _MORE)
+    if fit.moving:
+        yield _find("fit", f"still moving at the end of the fit: {', '.join(fit.moving)}", _MORE)
 
 
-def _doubt_parameters(result: Result) -> Iterator[types.FindingRow]:
-    if doubtful := name_unidentifiable(result["parameters"]):
+def _doubt_parameters(result: Result) -> Iterator[types.ResultFinding]:
+    if doubtful := name_unidentifiable(result.parameters):
         text = f"not identifiable from these data: {', '.join(doubtful)}"
         yield _find("identifiability", text, "do not interpret these values")
-    for group in result["indistinct"]:
+    for group in result.indistinct:
         text = f"the data do not distinguish {' and '.join(group)}"
         yield _find("identifiability", text, "fix all but one of them, or record other motion")
-    if result["no_intervals"] is not None and any(p["identified"] for p in result["parameters"]):
-        yield _find("identifiability", f"no parameter has an interval: {result['no_intervals']}")
+    if result.no_intervals is not None and any(p.identified for p in result.parameters):
+        yield _find("identifiability", f"no parameter has an interval: {result.no_intervals}")
 
 
-def list_rollouts(result: Result) -> list[tuple[str, MetricsRow]]:
+def list_rollouts(result: Result) -> list[tuple[str, Metrics]]:
     """List the metrics at all horizons and of the long test rollout, with a label of the rollouts."""
     names = {"test": "test", "train": "training", "model": "test", "baseline": "frictionless test"}
-    judged = [(names[part], entry[part]) for entry in result["by_horizon"] for part in ("test", "train", "baseline")]
-    return judged + [(names[part], result["paper"]["a"][part]) for part in ("model", "baseline")]
+    judged = [(names[part], entry[part]) for entry in result.by_horizon for part in ("test", "train", "baseline")]
+    return judged + [(names[part], result.paper.a[part]) for part in ("model", "baseline")]
 
 
-def _doubt_stability(result: Result) -> Iterator[types.FindingRow]:
-    diverged = [(name, metrics) for name, metrics in list_rollouts(result) if metrics["diverged"]]
+def _doubt_stability(result: Result) -> Iterator[types.ResultFinding]:
+    diverged = [(name, metrics) for name, metrics in list_rollouts(result) if metrics.diverged]
     if diverged:
-        counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in diverged]
+        counts = [f"{m.diverged} of {m.rollouts} {name} rollouts of {m.horizon:g} s" for name, m in diverged]
         severe = any(not name.startswith("frictionless") for name, _ in diverged)
         yield _find("stability", f"diverged and excluded from the errors: {'; '.join(counts)}", severe=severe)
 
 
-def _doubt_residual(residual: types.ResidualRow) -> Iterator[types.FindingRow]:
+def _doubt_residual(residual: types.Residual) -> Iterator[types.ResultFinding]:
     """Yield the residual factors, and unexplained residual torque beyond noise."""
-    rows, unit = residual["by_joint"], residual["unit"]
-    factors: dict[tuple[str, str | None], list[tuple[types.JointResidualRow, types.PlaceRow]]] = {}
+    rows, unit = residual.by_joint, residual.unit
+    factors: dict[tuple[str, str | None], list[tuple[types.JointResidual, types.ResidualFactor]]] = {}
     for row in rows:
-        for place in row["places"]:
-            factors.setdefault((place["place"], place["law"]), []).append((row, place))
+        for place in row.places:
+            factors.setdefault((place.place, place.law), []).append((row, place))
     for (place, law), pairs in sorted(
-        factors.items(), key=lambda item: -max(_share_of_friction(place["torque"], row) for row, place in item[1])
+        factors.items(), key=lambda item: -max(_share_of_friction(place.torque, row) for row, place in item[1])
     ):
-        severe = any(pair["torque"] > CONTRADICTED * row["friction"] for row, pair in pairs)
+        severe = any(pair.torque > CONTRADICTED * row.friction for row, pair in pairs)
         yield _find("residual", _say_place(place, pairs, unit, len(rows)), _say_law(pairs[0][1]), severe, law)
     for row in rows:
         share = _unexplained(row)
-        if share > UNEXPLAINED and row["correlation"] > ALIKE and not row["places"]:
-            where = f" of {row['joint']}" if len(rows) > 1 else ""
+        if share > UNEXPLAINED and row.correlation > ALIKE and not row.places:
+            where = f" of {row.joint}" if len(rows) > 1 else ""
             yield _find(
                 "residual",
                 f"the residual torque{where} exceeds noise by {say_percent(share)} of the friction (neighbours in time "
-                f"correlate by {row['correlation']:.2f}), and no residual factor explains it",
+                f"correlate by {row.correlation:.2f}), and no residual factor explains it",
                 "check the known values (gains, inertia, delay) and elasticity between motor and joint",
                 severe=share > CONTRADICTED,
             )
 
 
-def _unexplained(row: types.JointResidualRow) -> float:
+def _unexplained(row: types.JointResidual) -> float:
     """Return the RMS residual torque beyond noise, as a share of the friction."""
-    return _share_of_friction(float(np.sqrt(max(row["residual"] ** 2 - row["noise"] ** 2, 0.0))), row)
+    return _share_of_friction(float(np.sqrt(max(row.residual**2 - row.noise**2, 0.0))), row)
 
 
-def _share_of_friction(torque: float, row: types.JointResidualRow) -> float:
-    return torque / max(row["friction"], 1e-300)
+def _share_of_friction(torque: float, row: types.JointResidual) -> float:
+    return torque / max(row.friction, 1e-300)
 
 
-def _is_explained(residual: types.ResidualRow | None) -> bool:
+def _is_explained(residual: types.Residual | None) -> bool:
     """Return whether the residual torque of every joint is noise."""
-    rows = residual["by_joint"] if residual else []
-    return bool(rows) and all(_unexplained(row) < UNEXPLAINED and not row["places"] for row in rows)
+    rows = residual.by_joint if residual else []
+    return bool(rows) and all(_unexplained(row) < UNEXPLAINED and not row.places for row in rows)
 
 
-def _doubt_torque(torque: types.TorqueRow) -> Iterator[types.FindingRow]:
-    if torque["compared"] != "torque":
+def _doubt_torque(torque: types.Torque) -> Iterator[types.ResultFinding]:
+    if torque.compared != "torque":
         return
-    shares = {row["joint"]: _share(row["test"]) for row in torque["by_joint"]}
+    shares = {row.joint: _share(row.test) for row in torque.by_joint}
     doubtful = {joint: share for joint, share in shares.items() if share > DOUBTED}
     if doubtful:
         worst = max(doubtful, key=lambda joint: doubtful[joint])
@@ -254,56 +254,54 @@ def _doubt_torque(torque: types.TorqueRow) -> Iterator[types.FindingRow]:
         )
 
 
-def _share(errors: types.TorqueErrorsRow) -> float:
-    residual, torque = errors["residual"], errors["torque"]
+def _share(errors: types.TorqueErrors) -> float:
+    residual, torque = errors.residual, errors.torque
     return residual / torque if residual is not None and torque else 0.0
 
 
 def _say_place(
-    place: str, found: Sequence[tuple[types.JointResidualRow, types.PlaceRow]], unit: str, joints: int
+    place: str, found: Sequence[tuple[types.JointResidual, types.ResidualFactor]], unit: str, joints: int
 ) -> str:
     """Describe a residual factor, with its size in the joint in which it is largest."""
-    row, factor = max(found, key=lambda pair: _share_of_friction(pair[1]["torque"], pair[0]))
-    where = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
+    row, factor = max(found, key=lambda pair: _share_of_friction(pair[1].torque, pair[0]))
+    where = f" of {name_some([*dict.fromkeys(row.joint for row, _ in found)])}" if joints > 1 else ""
     ripple = ""
-    if (periods := factor["periods"]) is not None:  # the torque's unit tells hinge from slide
+    if (periods := factor.periods) is not None:  # the torque's unit tells hinge from slide
         ripple = f" ({periods:.4g} periods per turn)" if unit == "N m" else f" (period {2 * np.pi / periods:.3g} m)"
-    size = f"{factor['torque']:.2g} {unit}, {say_percent(_share_of_friction(factor['torque'], row))} of the friction"
+    size = f"{factor.torque:.2g} {unit}, {say_percent(_share_of_friction(factor.torque, row))} of the friction"
     up_to = "up to " if len(found) > 1 else ""
     return (
         f"the residual torque{where} is not noise: {PLACES[place]}{ripple} explains {up_to}"
-        f"{100 * min(factor['share'], 1.0):.0f} % of it ({size})"
+        f"{100 * min(factor.share, 1.0):.0f} % of it ({size})"
     )
 
 
-def _say_law(place: types.PlaceRow) -> str:
+def _say_law(place: types.ResidualFactor) -> str:
     """Return the remedy for a residual factor: a parameter of the bench, a check, or a model."""
-    value = place["value"]
-    if place["place"] == "constant":
+    value = place.value
+    if place.place == "constant":
         return f"identify bench.params.torque_offset (about {value:.2g})"
-    if place["place"] == "late":
+    if place.place == "late":
         return f"identify bench.params.delay (about {value:.2g} s)"
-    if place["place"] == "limit":
+    if place.place == "limit":
         return (
             f"give the actuator a torque_limit (about {value:.3g}): bench.actuator._target_=frictionzoo.bench.JointPD "
             f"'+bench.actuator.params.torque_limit={{init: {value:.3g}, scale: log, identify: true}}'"
         )
-    if place["place"] == "scale":
+    if place.place == "scale":
         times = "" if value is None else f"; {value:.3g} times the actuator's torque would fit"
         return (
             f"check the actuator's gains (bench.actuator.params.kp and kd), the gear ratio, and the mass of link and "
             f"payload{times}; the data do not distinguish these causes"
         )
-    if place["place"] == "gap":
-        return f"{place['law']} has that term" if place["law"] else "check the model's gap and its initial value"
-    if place["place"] == "pull":
+    if place.place == "gap":
+        return f"{place.law} has that term" if place.law else "check the model's gap and its initial value"
+    if place.place == "pull":
         return "this is not friction: check gravity, payload and springs of the bench, or motor cogging"
-    if place["law"] is None:
-        return (
-            "the model has that term; its form or its bounds do not fit" if place["known"] else "no model has that term"
-        )
-    other = "another form of that term" if place["known"] else "that term"
-    return f"{place['law']} has {other}" + ("" if place["whole"] else ", but lacks other terms of this model")
+    if place.law is None:
+        return "the model has that term; its form or its bounds do not fit" if place.known else "no model has that term"
+    other = "another form of that term" if place.known else "that term"
+    return f"{place.law} has {other}" + ("" if place.whole else ", but lacks other terms of this model")
 
 
 def explain_failure(result: Result) -> list[str] | None:
@@ -313,8 +311,8 @@ def explain_failure(result: Result) -> list[str] | None:
     friction: the model then compensates another error with unrealistic values. A friction term at the lower bound of
     its size does not count: a drive may lack dry friction.
     """
-    ended = [p for p in result["parameters"] if p["at_bound"] and not (_is_size(p) and not _ended_high(p))]
-    error, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    ended = [p for p in result.parameters if p.at_bound and not (_is_size(p) and not _ended_high(p))]
+    error, baseline = (result.metrics[part].position_mae for part in ("test", "baseline"))
     gained_little = error is None or (baseline is not None and error > LITTLE * baseline)
     if len(ended) < BOUNDS or not gained_little:
         return None
@@ -326,41 +324,39 @@ def explain_failure(result: Result) -> list[str] | None:
     names = " and ".join(name_where(p, at_bound=True) for p in ended)
     return [
         f"{names} ended at their bounds, and the test error {share}",
-        *result["warnings"],
+        *result.warnings,
         "known values are wrong: the actuator's gains, inertia and gravity in the MJCF, or the recordings' units",
         "commands act with a delay: identify bench.params.delay",
         "the recordings do not excite the drive, or the bounds do not suit it",
     ]
 
 
-def _is_cut_off(parameter: ParameterRow) -> bool:
+def _is_cut_off(parameter: Parameter) -> bool:
     """Return whether a bound cuts off a size or an offset, which other parameters then compensate."""
-    ended = [row for row in parameter["by_joint"] if row["at_bound"]]
-    offset = parameter["name"].endswith("_offset")
-    return bool(ended) and (
-        offset or ((_is_size(parameter) or parameter["owner"] == "bench") and _ended_high(parameter))
-    )
+    ended = [row for row in parameter.by_joint if row.at_bound]
+    offset = parameter.name.endswith("_offset")
+    return bool(ended) and (offset or ((_is_size(parameter) or parameter.owner == "bench") and _ended_high(parameter)))
 
 
-def _is_size(parameter: ParameterRow) -> bool:
-    return parameter["owner"] == "friction" and parameter["unit"] in _SIZES
+def _is_size(parameter: Parameter) -> bool:
+    return parameter.owner == "friction" and parameter.unit in _SIZES
 
 
-def _ended_high(parameter: ParameterRow) -> bool:
-    ended = [row for row in parameter["by_joint"] if row["at_bound"]]
-    return any(row["value"] - row["low"] >= row["high"] - row["value"] for row in ended)
+def _ended_high(parameter: Parameter) -> bool:
+    ended = [row for row in parameter.by_joint if row.at_bound]
+    return any(row.value - row.low >= row.high - row.value for row in ended)
 
 
 def doubt_joints(result: Result) -> str | None:
     """Report joints that the model does not improve on test data; None if it improves all, or for a single joint."""
-    joints = result["by_joint"]
-    if result["model"] == "baseline" or len(joints) == 1:
+    joints = result.by_joint
+    if result.model == "baseline" or len(joints) == 1:
         return None
     worse = []
     for joint in joints:
-        error, baseline = (joint[part]["position_mae"] for part in ("test", "baseline"))
+        error, baseline = (joint[part].position_mae for part in ("test", "baseline"))
         if error is not None and baseline and error >= baseline:
-            worse.append(f"{joint['joint']} (+{100 * (error / baseline - 1):.0f} %)")
+            worse.append(f"{joint.joint} (+{100 * (error / baseline - 1):.0f} %)")
     if not worse:
         return None
     return (
@@ -369,12 +365,10 @@ def doubt_joints(result: Result) -> str | None:
     )
 
 
-def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:
+def doubt_reference(parameters: Sequence[ReferenceParameter]) -> str | None:
     """Report that the drive without friction, the baseline, ended at bounds; None if it did not."""
     ended = [
-        f"{name_where(p, at_bound=True)} at its bound of {say_bounds(p)} {p['unit']}"
-        for p in parameters
-        if p["at_bound"]
+        f"{name_where(p, at_bound=True)} at its bound of {say_bounds(p)} {p.unit}" for p in parameters if p.at_bound
     ]
     if not ended:
         return None

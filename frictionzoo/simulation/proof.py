@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -15,6 +14,7 @@ from jaxtyping import Float
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import BenchError, FrictionzooError
 from frictionzoo.core.log import Log
+from frictionzoo.core.records import Proof
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.models.formula import as_numpy, torch_state, torch_values
@@ -55,23 +55,6 @@ class Cases(NamedTuple):
     qvel: Float[np.ndarray, "cases nv"]
     signals: Signals
     load: Float[np.ndarray, "cases load"]
-
-
-@dataclass(frozen=True)
-class Proof:
-    """Differences between an engine and MuJoCo C.
-
-    Attributes:
-        step: Largest difference of a position or velocity after one step, relative for values above 1.
-        rollout: The same after all steps.
-        cases: Number of rollouts compared.
-        steps: Steps in each.
-    """
-
-    step: float
-    rollout: float
-    cases: int
-    steps: int
 
 
 def initial_values(bench: Bench, model: FrictionModel) -> Values:

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
 from itertools import combinations
-from typing import Any, Final, Literal, cast
+from typing import Any, Final, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.core.output import to_json
+from frictionzoo.core.output import complete
 from frictionzoo.result.comparison import types as rows
 from frictionzoo.result.comparison.runs import NAMED, Failure, Run, differing
 from frictionzoo.result.comparison.statistics import (
@@ -43,36 +43,33 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Compa
     """Return the content of `comparison.json` for at least one run, checked by `gather`, and jobs without a result."""
     ranked = sorted(runs, key=_rank)
     pairs = _compare_pairs(ranked)
-    result, test = ranked[0].result, ranked[0].result["metrics"]["test"]
-    reference = next((run for run in ranked if run.result["model"] == "baseline"), None)
-    comparison: rows.Comparison = {
-        "schema_version": SCHEMA_VERSION,
-        "data": result["data"],
-        "joints": result["joints"],
-        "unit": test["unit"],
-        "velocity_unit": test["velocity_unit"],
-        "torque_unit": "N m" if test["unit"] == "rad" else "N",
-        "evaluation": {
-            "sha256": result["evaluation"]["sha256"],
-            "horizon": test["horizon"],
-            "rollouts": test["rollouts"],
-            "long_rollouts": len(ranked[0].curves.qpos),
-            "long_horizon": result["paper"]["a"]["model"]["horizon"],
-        },
-        "recommendation": _recommend(ranked, pairs),
-        "reference": reference.label if reference else None,
-        "reference_doubt": doubt_reference(reference.result["parameters"] if reference else result["reference"]),
-        "runs": [_describe(run, reference) for run in ranked],
-        "failures": [cast(rows.FailureRow, asdict(failure)) for failure in failures],
-        "differences": _list_differences(ranked),
-        "pairs": [cast(rows.PairRow, {"run": a, "other": b, **asdict(pair)}) for (a, b), pair in pairs.items()],
-        "by_horizon": _by_horizon(ranked),
-        "by_speed": _by_local(ranked, "local_speed"),
-        "by_load": _by_local(ranked, "local_load"),
-        "friction": {run.label: _describe_friction(run) for run in ranked},
-        "autocorrelation": _describe_autocorrelation(ranked),
-    }
-    return to_json(comparison)
+    result, test = ranked[0].result, ranked[0].result.metrics.test
+    reference = next((run for run in ranked if run.result.model == "baseline"), None)
+    evaluation = result.evaluation.sha256, test.horizon, test.rollouts
+    comparison = rows.Comparison(
+        schema_version=SCHEMA_VERSION,
+        data=result.data,
+        joints=result.joints,
+        unit=test.unit,
+        velocity_unit=test.velocity_unit,
+        torque_unit="N m" if test.unit == "rad" else "N",
+        evaluation=rows.CommonRollouts(
+            *evaluation, long_rollouts=len(ranked[0].curves.qpos), long_horizon=result.paper.a.model.horizon
+        ),
+        recommendation=_recommend(ranked, pairs),
+        reference=reference.label if reference else None,
+        reference_doubt=doubt_reference(reference.result.parameters if reference else result.reference),
+        runs=[_describe(run, reference) for run in ranked],
+        failures=list(failures),
+        differences=_list_differences(ranked),
+        pairs=[rows.Pair(*labels, **asdict(pair)) for labels, pair in pairs.items()],
+        by_horizon=_by_horizon(ranked),
+        by_speed=_by_local(ranked, "local_speed"),
+        by_load=_by_local(ranked, "local_load"),
+        friction={run.label: _describe_friction(run) for run in ranked},
+        autocorrelation=_describe_autocorrelation(ranked),
+    )
+    return complete(comparison)
 
 
 def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
@@ -81,16 +78,16 @@ def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
 
 
 def _rank(run: Run) -> tuple[int, float, int]:
-    test = run.result["metrics"]["test"]
-    error = np.inf if test["position_mae"] is None else test["position_mae"]
-    return test["diverged"], error, _count_identified(run.result)
+    test = run.result.metrics.test
+    error = np.inf if test.position_mae is None else test.position_mae
+    return test.diverged, error, _count_identified(run.result)
 
 
 def _count_identified(result: Result) -> int:
     """Return the number of identified values and network weights."""
-    values = [value["identified"] for p in result["parameters"] for value in p["by_joint"]]
-    network = result["network"]
-    return sum(values) + (network["weights"] if network else 0)
+    values = [value.identified for p in result.parameters for value in p.by_joint]
+    network = result.network
+    return sum(values) + (network.weights if network else 0)
 
 
 def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
@@ -102,31 +99,31 @@ def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
     }
 
 
-def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> rows.RecommendationRow | None:
+def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> rows.Recommendation | None:
     """Return the simplest run within noise of the best, with reason and doubts; None if all test rollouts diverged."""
     best = ranked[0]
-    if best.result["metrics"]["test"]["position_mae"] is None:
+    if best.result.metrics.test.position_mae is None:
         return None
     close = [best, *(run for run in ranked[1:] if pairs[run.label, best.label].verdict == "noise")]
     chosen = min(close, key=lambda run: (_count_identified(run.result), _rank(run)))
-    labelled = [pair for parameter in chosen.result["parameters"] for pair in label_values(parameter).items()]
-    return {
-        "run": chosen.label,
-        "best": best.label,
-        "unidentifiable": [label for label, row in labelled if row["identifiable"] is False],
-        "not_identified": chosen.result["not_identified"],
-        "reason": _explain(chosen, best, close, pairs),
-    }
+    labelled = [pair for parameter in chosen.result.parameters for pair in label_values(parameter).items()]
+    return rows.Recommendation(
+        run=chosen.label,
+        best=best.label,
+        unidentifiable=[label for label, row in labelled if row.identifiable is False],
+        not_identified=chosen.result.not_identified,
+        reason=_explain(chosen, best, close, pairs),
+    )
 
 
 def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
-    test = chosen.result["metrics"]["test"]
-    unit, rollouts = test["unit"], test["rollouts"]
+    test = chosen.result.metrics.test
+    unit, rollouts = test.unit, test.rollouts
     values = _count_identified(chosen.result)
-    error = f"Test MAE {test['position_mae']:.3g} {unit} with {values} identified value{'s' * (values != 1)}"
+    error = f"Test MAE {test.position_mae:.3g} {unit} with {values} identified value{'s' * (values != 1)}"
     if chosen is not best:
         pair = pairs[chosen.label, best.label]
-        lowest, count = best.result["metrics"]["test"]["position_mae"], _count_identified(best.result)
+        lowest, count = best.result.metrics.test.position_mae, _count_identified(best.result)
         text = (
             f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {count}, is within noise of it "
             f"(difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over {rollouts} "
@@ -137,11 +134,11 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
         text = f"{error}, the lowest; {others} {'are' if len(close) > 2 else 'is'} within noise of it but not simpler"
     else:
         text = f"{error}, the lowest, and all other runs are worse by more than noise over {rollouts} paired rollouts"
-    if chosen.result["network"]:
+    if chosen.result.network:
         text += ". It is a network: do not interpret its physical parameters"
-    doubtful = name_unidentifiable(chosen.result["parameters"])
+    doubtful = name_unidentifiable(chosen.result.parameters)
     doubt = f" Not identifiable, do not interpret these values: {', '.join(doubtful)}." if doubtful else ""
-    failed = chosen.result["not_identified"]
+    failed = chosen.result.not_identified
     doubt += f" The drive was not identified: {failed[0]}." if failed else ""
     caution = f" Few rollouts ({rollouts}): raise evaluation.rollouts." if rollouts < FEW else ""
     return f"{text}.{_say_hair(best, pairs)}{doubt}{caution}"
@@ -161,93 +158,84 @@ def _say_hair(best: Run, pairs: Mapping[tuple[str, str], Difference]) -> str:
     return f" Near the limit of noise: {', '.join(groups)}; other rollouts may decide otherwise." if groups else ""
 
 
-def _describe(run: Run, reference: Run | None) -> rows.RunRow:
+def _describe(run: Run, reference: Run | None) -> rows.ComparedRun:
     result = run.result
-    return {
-        "label": run.label,
-        "run": run.folder.name,
-        "model": result["model"],
-        "identified": _count_identified(run.result),
-        "train": result["metrics"]["train"],
-        "test": result["metrics"]["test"],
-        "by_joint": result["by_joint"],
-        "torque": result["torque"],
-        "change": {"train": _change(run, reference, "train"), "test": _change(run, reference, "test")},
-        "rollout_mae": run.curves.test_mae.tolist(),
-        "by_horizon": [
-            {"horizon": row["horizon"], "train": row["train"], "test": row["test"]} for row in result["by_horizon"]
-        ],
-        "paper": {"a": result["paper"]["a"]["model"], "b": result["paper"]["b"]["model"]},
-        "parameters": result["parameters"],
-        "not_identified": result["not_identified"],
-        "network": result["network"],
-        "fit": result["fit"],
-        "settings": {"seed": result["seed"], "dtype": result["dtype"], "engine": result["engine"]},
-        "timing": result["timing"],
-    }
+    return rows.ComparedRun(
+        label=run.label,
+        run=run.folder.name,
+        model=result.model,
+        identified=_count_identified(run.result),
+        train=result.metrics.train,
+        test=result.metrics.test,
+        by_joint=result.by_joint,
+        torque=result.torque,
+        change=rows.Change(_change(run, reference, "train"), _change(run, reference, "test")),
+        rollout_mae=run.curves.test_mae.tolist(),
+        by_horizon=[rows.RunHorizon(row.horizon, row.train, row.test) for row in result.by_horizon],
+        paper=rows.RunPaper(result.paper.a.model, result.paper.b.model),
+        parameters=result.parameters,
+        not_identified=result.not_identified,
+        network=result.network,
+        fit=result.fit,
+        settings=rows.Computation(result.seed, result.dtype, result.engine),
+        timing=result.timing,
+    )
 
 
 def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> float | None:
     """Return the relative change to the reference run's error, or else, on test data only, to the run's baseline's."""
-    value = run.result["metrics"][part]["position_mae"]
+    value = run.result.metrics[part].position_mae
     if reference:
-        frictionless = reference.result["metrics"][part]["position_mae"]
+        frictionless = reference.result.metrics[part].position_mae
     else:
-        frictionless = run.result["metrics"]["baseline"]["position_mae"] if part == "test" else None
+        frictionless = run.result.metrics.baseline.position_mae if part == "test" else None
     return value / frictionless - 1 if value is not None and frictionless else None
 
 
-def _list_differences(runs: Sequence[Run]) -> list[rows.DifferenceRow]:
+def _list_differences(runs: Sequence[Run]) -> list[rows.OptionDifference]:
     """Return the options in which the runs differ, except options of the model."""
-    options = differing([run.result["settings"] | {"engine": run.result["engine"]} for run in runs], NAMED)
+    options = differing([run.result.settings | {"engine": run.result.engine} for run in runs], NAMED)
     labels = [run.label for run in runs]
-    return [{"option": name, "values": dict(zip(labels, values, strict=True))} for name, values in options.items()]
+    return [rows.OptionDifference(name, dict(zip(labels, values, strict=True))) for name, values in options.items()]
 
 
-def _by_horizon(runs: Sequence[Run]) -> rows.GrowthRow:
-    timestep = runs[0].result["data"]["timestep"]
+def _by_horizon(runs: Sequence[Run]) -> rows.ErrorGrowth:
+    timestep = runs[0].result.data.timestep
     curves = {run.label: error_by_horizon(np.abs(_residual(run)).mean(axis=2), timestep) for run in runs}
     horizon = next(iter(curves.values()))[0]
-    return {
-        "horizon": horizon.tolist(),
-        "position_mae": {label: error.tolist() for label, (_, error) in curves.items()},
-    }
+    return rows.ErrorGrowth(horizon.tolist(), {label: error.tolist() for label, (_, error) in curves.items()})
 
 
-def _by_local(runs: Sequence[Run], signal: str) -> rows.BinnedRow:
+def _by_local(runs: Sequence[Run], signal: str) -> rows.BinnedErrors:
     """Return the error of the short rollouts in bins of a measured quantity."""
     measured = getattr(runs[0].curves, signal)
     members = bin_evenly(measured)
-    return {
-        "centre": [float(measured[windows].mean()) for windows in members],
-        "low": [float(measured[windows].min()) for windows in members],
-        "high": [float(measured[windows].max()) for windows in members],
-        "windows": [len(windows) for windows in members],
-        "position_mae": {
+    return rows.BinnedErrors(
+        centre=[float(measured[windows].mean()) for windows in members],
+        low=[float(measured[windows].min()) for windows in members],
+        high=[float(measured[windows].max()) for windows in members],
+        windows=[len(windows) for windows in members],
+        position_mae={
             run.label: [mean_of_finite(run.curves.local_mae[windows]) for windows in members] for run in runs
         },
-    }
+    )
 
 
-def _describe_friction(run: Run) -> rows.FrictionRow:
+def _describe_friction(run: Run) -> rows.FrictionCurve:
     curves = run.curves
-    return {
-        "velocity": curves.velocity.tolist(),
-        "torque": curves.friction.T.tolist(),
-        "low": curves.friction_low.T.tolist(),
-        "high": curves.friction_high.T.tolist(),
-    }
+    by_joint = (values.T.tolist() for values in (curves.friction, curves.friction_low, curves.friction_high))
+    return rows.FrictionCurve(curves.velocity.tolist(), *by_joint)
 
 
-def _describe_autocorrelation(runs: Sequence[Run]) -> rows.AutocorrelationRow:
-    timestep = runs[0].result["data"]["timestep"]
+def _describe_autocorrelation(runs: Sequence[Run]) -> rows.Autocorrelation:
+    timestep = runs[0].result.data.timestep
     rollouts, steps, joints = runs[0].curves.qpos.shape
     curves = {}
     for run in runs:
         residual = np.moveaxis(_residual(run), 2, 1).reshape(rollouts * joints, steps)
         lag, curves[run.label] = autocorrelation(residual, timestep, LONGEST_LAG)
-    return {
-        "lag": lag.round(9).tolist(),  # removes rounding errors of the multiplication
-        "band": 1.96 / np.sqrt(rollouts * joints * steps),
-        "coefficient": {label: curve.tolist() for label, curve in curves.items()},
-    }
+    return rows.Autocorrelation(
+        lag=lag.round(9).tolist(),  # removes rounding errors of the multiplication
+        band=1.96 / np.sqrt(rollouts * joints * steps),
+        coefficient={label: curve.tolist() for label, curve in curves.items()},
+    )

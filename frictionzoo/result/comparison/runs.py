@@ -47,7 +47,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
     run_folders = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
     failures = [failure for folder in run_folders if (failure := read_failure(folder))]
     read = [(folder, *read_run(folder)) for folder in run_folders if (folder / RESULT).exists()]
-    return gather([Run(result["model"], folder, result, curves) for folder, result, curves in read]), failures
+    return gather([Run(result.model, folder, result, curves) for folder, result, curves in read]), failures
 
 
 def gather(runs: Sequence[Run]) -> list[Run]:
@@ -65,12 +65,12 @@ def gather(runs: Sequence[Run]) -> list[Run]:
 
 def _refuse_incomparable(run: Run, first: Run) -> None:
     actual, expected = run.result, first.result
-    if actual["data"]["sha256"] != expected["data"]["sha256"]:
-        names = [f"{data['name']} (SHA-256 {data['sha256'][:12]})" for data in (actual["data"], expected["data"])]
+    if actual.data.sha256 != expected.data.sha256:
+        names = [f"{data.name} (SHA-256 {data.sha256[:12]})" for data in (actual.data, expected.data)]
         text = f"data {names[0]}, expected {names[1]} as in {first.folder}"
         raise RunError(f"{run.folder}: {text}; compare runs on the same data")
-    if actual["evaluation"]["sha256"] != expected["evaluation"]["sha256"]:
-        options = differing([actual["settings"], expected["settings"]], ("evaluation", "data"))
+    if actual.evaluation.sha256 != expected.evaluation.sha256:
+        options = differing([actual.settings, expected.settings], ("evaluation", "data"))
         changes = [f"{name}={actual}, expected {expected}" for name, (actual, expected) in options.items()]
         text = f"{'; '.join(changes)} as in {first.folder}" if changes else f"its rollouts differ from {first.folder}"
         raise RunError(f"{run.folder}: {text}; compare runs evaluated on the same rollouts")
@@ -101,11 +101,11 @@ def _label_among(run: Run, same: Sequence[Run]) -> str:
 
 def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
     """Yield texts that may distinguish runs of one model, one per run, the simplest first."""
-    yield [f"fit={run.result['fit']['method']}" for run in same]
-    options = differing([run.result["settings"] for run in same], (*NAMED, "model"))
+    yield [f"fit={run.result.fit.method}" for run in same]
+    options = differing([run.result.settings for run in same], (*NAMED, "model"))
     if len(options) <= MOST_NAMED:
         # Labels appear on shared pages and tables, which must not reveal paths of this machine.
-        paths, joints = {path for run in same for path in list_paths_of(run.result)}, same[0].result["joints"]
+        paths, joints = {path for run in same for path in list_paths_of(run.result)}, same[0].result.joints
         named = {name: without_paths(values, paths, joints) for name, values in options.items()}
         yield [" ".join(f"{name}={values[i]}" for name, values in named.items()) for i in range(len(same))]
     yield [f"({run.folder.name})" for run in same]

@@ -89,16 +89,16 @@ def _moments(value: Numbers, variance: Numbers) -> tuple[float, float]:
 
 def _read(drive: FittedDrive) -> dict[str, tuple[float, float, str | float]]:
     """Return coordinate, variance and scale of each identifiable parameter."""
-    row = drive.result["covariance"]
+    row = drive.result.covariance
     if row is None:
         raise RunError(
-            f"{drive.place}: {drive.result['no_intervals'] or 'data determine none of its parameters'}, expected "
+            f"{drive.place}: {drive.result.no_intervals or 'data determine none of its parameters'}, expected "
             "intervals to separate spread from uncertainty; leave it out"
         )
-    centre, variance = row["centre"], np.diag(np.array(row["matrix"]))
+    centre, variance = row.centre, np.diag(np.array(row.matrix))
     identifiable = {name for name, parameter in drive.parameters.items() if parameter.identifiable}
     return {
-        label: (centre[index], float(variance[index]), row["scale"][index])
-        for index, label in enumerate(row["labels"])
+        label: (centre[index], float(variance[index]), row.scale[index])
+        for index, label in enumerate(row.labels)
         if label.partition("/")[0] in identifiable
     }

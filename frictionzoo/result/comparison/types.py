@@ -1,16 +1,30 @@
 """Types of `comparison.json`, from which `make docs` generates `comparison.schema.json`."""
 
-from typing import Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any, Literal
 
-from frictionzoo.result.kinds import Count, Joints, Natural, NotNegative, Number, Positive, Sha256, Simulator, Text
-from frictionzoo.result.section_types import TorqueRow
-from frictionzoo.result.types import DataRow, FitRow, JointRow, MetricsRow, NetworkRow, ParameterRow, TimingRow
+from msgspec import Meta
+
+from frictionzoo.core.records import (
+    Count,
+    Failure,
+    Joints,
+    Natural,
+    NotNegative,
+    Number,
+    Positive,
+    Record,
+    Sha256,
+    Simulator,
+    Text,
+)
+from frictionzoo.result.section_types import Torque
+from frictionzoo.result.types import Data, FitRecord, JointMetrics, Metrics, Network, Parameter, Timing
 
 Numbers = list[float | None]
 Curves = dict[str, Numbers]
 
 
-class RolloutsRow(TypedDict):
+class CommonRollouts(Record):
     """The evaluation rollouts, the same for all runs."""
 
     sha256: Sha256
@@ -25,7 +39,7 @@ class RolloutsRow(TypedDict):
     """Length of the long test rollouts [s]."""
 
 
-class RecommendationRow(TypedDict):
+class Recommendation(Record):
     """The recommended run: the simplest one within noise of the best."""
 
     run: str
@@ -42,7 +56,7 @@ class RecommendationRow(TypedDict):
     """Reason for the recommendation, in sentences."""
 
 
-class ChangeRow(TypedDict):
+class Change(Record):
     """Error relative to the error without friction, minus 1: -0.64 is a decrease of 64 %."""
 
     train: float | None
@@ -51,27 +65,27 @@ class ChangeRow(TypedDict):
     """Change of the error of `test`."""
 
 
-class RunHorizonRow(TypedDict):
+class RunHorizon(Record):
     """Errors of a run's rollouts of one length on each part of the data."""
 
     horizon: Positive
     """Length of each rollout [s]."""
-    train: MetricsRow
+    train: Metrics
     """Errors on the training logs."""
-    test: MetricsRow
+    test: Metrics
     """Errors on the test logs."""
 
 
-class RunPaperRow(TypedDict):
+class RunPaper(Record):
     """The two evaluations of Kovalev et al. (2026), on test data."""
 
-    a: MetricsRow
+    a: Metrics
     """One long rollout."""
-    b: MetricsRow
+    b: Metrics
     """Rollouts of the main horizon at random places."""
 
 
-class SettingsRow(TypedDict):
+class Computation(Record):
     """Settings of the computation."""
 
     seed: int
@@ -82,7 +96,7 @@ class SettingsRow(TypedDict):
     """Simulation engine."""
 
 
-class RunRow(TypedDict):
+class ComparedRun(Record):
     """One run."""
 
     label: str
@@ -94,45 +108,34 @@ class RunRow(TypedDict):
     identified: Natural
     """Number of identified values: parameters of each joint or group of joints with a shared value, and network
     weights."""
-    train: MetricsRow
+    train: Metrics
     """Errors of the main rollouts on the training logs."""
-    test: MetricsRow
+    test: Metrics
     """Errors of the main rollouts on the test logs."""
-    by_joint: Annotated[list[JointRow], ("minItems", 1)]
+    by_joint: Annotated[list[JointMetrics], Meta(min_length=1)]
     """Errors of each joint in the main rollouts, in the order of `joints`."""
-    torque: TorqueRow | None
+    torque: Torque | None
     """Residual torque of each joint, as in `result.json`; null: not measured."""
-    change: ChangeRow
+    change: Change
     rollout_mae: Numbers
     """Mean absolute position error of each main test rollout [unit], null if it diverged; the rollouts are the same in
     all runs."""
-    by_horizon: list[RunHorizonRow]
+    by_horizon: list[RunHorizon]
     """Errors at every horizon of the evaluation."""
-    paper: RunPaperRow
-    parameters: list[ParameterRow]
+    paper: RunPaper
+    parameters: list[Parameter]
     """Physical parameters of bench and friction model. Network weights are in friction.safetensors."""
     not_identified: list[Text] | None
     """Reason why the fit did not identify the drive, followed by the likely causes, likeliest first; null: no sign of
     failure."""
-    network: NetworkRow | None
+    network: Network | None
     """Trained network of the friction model; null: the model has none."""
-    fit: FitRow
-    settings: SettingsRow
-    timing: TimingRow
+    fit: FitRecord
+    settings: Computation
+    timing: Timing
 
 
-class FailureRow(TypedDict):
-    """A job without a result."""
-
-    run: str
-    """Name of the job's folder."""
-    model: str
-    """Name of the friction model; empty: unknown."""
-    reason: str
-    """Reason for the missing result, in one line."""
-
-
-class DifferenceRow(TypedDict):
+class OptionDifference(Record):
     """An option that differs between runs."""
 
     option: str
@@ -141,7 +144,7 @@ class DifferenceRow(TypedDict):
     """Value in each run, by label; null: the run has no such option."""
 
 
-class PairRow(TypedDict):
+class Pair(Record):
     """Paired bootstrap of two runs over the main test rollouts."""
 
     run: str
@@ -159,7 +162,7 @@ class PairRow(TypedDict):
     difference is noise if the interval contains 0 or the mean is below 1 % of the smaller error."""
 
 
-class GrowthRow(TypedDict):
+class ErrorGrowth(Record):
     """Growth of the error: mean over the first seconds of the long test rollouts."""
 
     horizon: Numbers
@@ -168,7 +171,7 @@ class GrowthRow(TypedDict):
     """Mean error up to each horizon [unit], by label."""
 
 
-class BinnedRow(TypedDict):
+class BinnedErrors(Record):
     """Error in bins of another quantity."""
 
     centre: Numbers
@@ -183,7 +186,7 @@ class BinnedRow(TypedDict):
     """Error in each bin [unit], by label."""
 
 
-class FrictionRow(TypedDict):
+class FrictionCurve(Record):
     """Friction torque of a model over velocity."""
 
     velocity: Numbers
@@ -196,7 +199,7 @@ class FrictionRow(TypedDict):
     """90 % quantile of the friction torque over these states [torque_unit]."""
 
 
-class AutocorrelationRow(TypedDict):
+class Autocorrelation(Record):
     """Autocorrelation of the position errors in the long test rollouts: structure that no model has explained."""
 
     lag: Numbers
@@ -207,7 +210,7 @@ class AutocorrelationRow(TypedDict):
     """Autocorrelation at each lag, mean over the rollouts, by label."""
 
 
-class Comparison(TypedDict):
+class Comparison(Record):
     """Comparison of runs on the same data and the same evaluation rollouts, best first.
 
     Numbers are in SI units, angles in radians. null stands for a number that does not exist, for example if all
@@ -216,7 +219,7 @@ class Comparison(TypedDict):
 
     schema_version: Literal[6]
     """Schema version, increased by every change that affects readers of the file."""
-    data: DataRow
+    data: Data
     joints: Joints
     """Names of the identified joints; lists with one entry for each joint have this order."""
     unit: Literal["rad", "m"]
@@ -225,27 +228,27 @@ class Comparison(TypedDict):
     """Unit of velocities."""
     torque_unit: Literal["N m", "N"]
     """Unit of friction and load."""
-    evaluation: RolloutsRow
-    recommendation: RecommendationRow | None
+    evaluation: CommonRollouts
+    recommendation: Recommendation | None
     """The recommended run; null: all test rollouts of all runs diverged."""
     reference: str | None
     """Label of the run without friction to which `change` is relative; null: there is none, and each run's test error
     is relative to its own fit without friction."""
     reference_doubt: str | None
     """Reason why `change` means little: the fit without friction ended at a bound; null: it did not."""
-    runs: Annotated[list[RunRow], ("minItems", 1)]
+    runs: Annotated[list[ComparedRun], Meta(min_length=1)]
     """The runs: fewest diverged test rollouts first, then lowest test error."""
-    failures: list[FailureRow]
+    failures: list[Failure]
     """Jobs without a result."""
-    differences: list[DifferenceRow]
+    differences: list[OptionDifference]
     """Options of seed, dtype, engine, segments, loss, fit, bench and teacher that differ between the runs."""
-    pairs: list[PairRow]
+    pairs: list[Pair]
     """Paired bootstrap of every pair of runs over the main test rollouts."""
-    by_horizon: GrowthRow
-    by_speed: BinnedRow
+    by_horizon: ErrorGrowth
+    by_speed: BinnedErrors
     """Error of short test rollouts in bins of the mean absolute measured velocity [velocity_unit]."""
-    by_load: BinnedRow
+    by_load: BinnedErrors
     """Error of short test rollouts in bins of the mean absolute motor torque [torque_unit]."""
-    friction: dict[str, FrictionRow]
+    friction: dict[str, FrictionCurve]
     """Friction torque over velocity, by label."""
-    autocorrelation: AutocorrelationRow
+    autocorrelation: Autocorrelation
