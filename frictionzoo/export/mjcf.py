@@ -4,7 +4,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
