@@ -9,6 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 from browser import read_data
+from msgspec.structs import replace as replace_fields
 from test_report import FIT, PROOF, SETTINGS, TIMESTEP, TIMING, curves_of, make_rollout
 
 from frictionzoo.bench import Bench, PositionPD
@@ -219,14 +220,15 @@ def test_a_verdict_names_the_joints(result: Any) -> None:
         "on test data 1 of 4 joints is no better than without friction: FR_knee"
     )
     better = copy.deepcopy(result)
-    better["by_joint"][3]["test"]["position_mae"] = 0.01
-    assert doubt_joints(better) is None and doubt_joints(result | {"model": "baseline"}) is None
-    assert doubt_joints(result | {"by_joint": result["by_joint"][3:]}) is None  # one joint has its gain told already
+    better.by_joint[3].test.position_mae = 0.01
+    assert doubt_joints(better) is None and doubt_joints(replace_fields(result, model="baseline")) is None
+    alone = replace_fields(result, by_joint=result.by_joint[3:])  # one joint has its gain told already
+    assert doubt_joints(alone) is None
     ended = copy.deepcopy(result)
     row = of(ended, "damping")
-    row["at_bound"] = row["by_joint"][0]["at_bound"] = True
-    for bound in (bound for name in ("frictionloss", "damping") for bound in of(ended, name)["by_joint"]):
-        bound["value"] = bound["high"] if bound["at_bound"] else bound["value"]  # a lower one: there is none of it
+    row.at_bound = row.by_joint[0].at_bound = True
+    for bound in (bound for name in ("frictionloss", "damping") for bound in of(ended, name).by_joint):
+        bound.value = bound.high if bound.at_bound else bound.value  # a lower one: there is none of it
     why, *_ = explain_failure(ended) or [""]
     assert "friction.frictionloss (FL_knee) and friction.damping (FL_hip) ended at their bounds" in why
     checks = {check.title: check for check in check_result(result)}

@@ -110,7 +110,7 @@ def open_card(folder: Path, result: Record) -> dict[str, Any]:
     return {**result["settings"], "bench": {**bench, "mjcf": str(path)}}
 
 
-def hash_record(result: Record) -> str:
+def hash_record(result: Record | Mapping[str, Any]) -> str:
     """Return the SHA-256 of a card's record without its hashes."""
     content = to_json(result)
     record = {**content, "card": {**content["card"], "files": {}}}
