@@ -111,7 +111,7 @@ def parse_record(path: Path, kind: type[R], content: Any) -> R:
     """Return the record in the content of a JSON file; RunError with the file's path if it is invalid."""
     try:
         return msgspec.convert(content, kind)
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, UnicodeError) as error:  # UnicodeError: half of a surrogate pair
         reason = " ".join(str(error).split())[:200]
         raise RunError(f"{path}: {reason}; expected the file that this version writes") from None
 

@@ -138,6 +138,12 @@ class Parameter(ReferenceParameter):
     """Whether the data determine the value. false: in at least one joint, the interval is missing, reaches a bound or
     is too wide. null: known value, or no intervals estimated."""
 
+    def __post_init__(self) -> None:
+        """Refuse a list of numbers that is no interval."""
+        ends = [isinstance(end, float) for end in self.interval or ()]
+        if any(ends) and not (all(ends) and len(ends) == 2):
+            raise ValueError(f"interval {self.interval}, expected two numbers, or two or null for each joint")
+
 
 class Network(Record):
     """Trained network of a friction model."""
