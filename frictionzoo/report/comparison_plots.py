@@ -108,22 +108,22 @@ def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
     windows = sum(comparison.by_speed.windows)
     local = f"{windows} short rollouts over the test part of {data}, in bins of equal count"
     friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, if friction depends on more"
-    names = max((len(figure.panels[0].marks) // 2 for figure in plots.parameters), default=0)
+    names = max((len(figure.panels[0].marks) // 2 for figure in plots["parameters"]), default=0)
     rows = (plots["mae"][0].height or 0) / PIXELS
     columns = min(joints, COLUMNS)
     return {
         "figure3_parameters": Sheet(
-            fits, plots.parameters, 2.1 + with_matplotlib.LINE * names, 2 if joints == 1 else columns, apart=True
+            fits, plots["parameters"], 2.1 + with_matplotlib.LINE * names, 2 if joints == 1 else columns, apart=True
         ),
         "figure4_trajectories": Sheet(single, plots["trajectories"], 5.4, columns, headings=True),
-        "figure5_error": Sheet(f"{single}\n{window}", plots.error, 3.4),
+        "figure5_error": Sheet(f"{single}\n{window}", plots["error"], 3.4),
         "figure6_mae": Sheet(f"{short}\nmean and standard deviation over rollouts", plots["mae"], rows),
-        "error_by_horizon": Sheet(long, plots.by_horizon, 3.0),
-        "error_by_speed": Sheet(local, plots.by_speed, 3.0),
-        "error_by_load": Sheet(local, plots.by_load, 3.0),
-        "friction": Sheet(f"{friction} than the velocity", plots.friction, 3.2, columns, headings=True),
-        "autocorrelation": Sheet(long, plots.autocorrelation, 3.0),
-        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", plots.differences, rows),
+        "error_by_horizon": Sheet(long, plots["by_horizon"], 3.0),
+        "error_by_speed": Sheet(local, plots["by_speed"], 3.0),
+        "error_by_load": Sheet(local, plots["by_load"], 3.0),
+        "friction": Sheet(f"{friction} than the velocity", plots["friction"], 3.2, columns, headings=True),
+        "autocorrelation": Sheet(long, plots["autocorrelation"], 3.0),
+        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", plots["differences"], rows),
     }
 
 
