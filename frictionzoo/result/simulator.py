@@ -91,9 +91,9 @@ def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, s
     Commands act half a step later, and dry friction is no stiffer than the simulator allows. `settings` is the section
     `bench`; `step` holds `timestep` [s], and `integrator` if it differs.
     """
-    delay = {"init": _delay(values, step.timestep).tolist(), "high": 1.0, "identify": False}
+    delay = {"init": _delay(values, step["timestep"]).tolist(), "high": 1.0, "identify": False}
     params = {**(settings.get("params") or {}), "delay": delay}
-    softer = _soften(bench, step.timestep)
+    softer = _soften(bench, step["timestep"])
     return build({**settings, **step, **softer, "second_order": False, "params": params}, Bench)
 
 
