@@ -288,7 +288,7 @@ class Executed:
         (lambda folder: (folder / LAW).write_bytes((folder / LAW).read_bytes()[:-8]), "SHA-256 .* get the card again"),
         (lambda folder: edit(folder, multiply), r"result\.json: SHA-256"),
         (lambda folder: (folder / TEMPLATE).unlink(), "No such file or directory"),
-        (lambda folder: edit(folder, lambda record: record["card"].pop("licence")), "'licence' missing required field"),
+        (lambda folder: edit(folder, lambda record: record["card"].pop("licence")), "missing required field `licence`"),
         (lambda folder: edit(folder, name_file), r"names the file \.\./x"),
         (write(LAW, pickle.dumps(Executed())), "expected the values of coulomb_stribeck"),
         (write(LAW, b""), "expected the values of coulomb_stribeck"),
