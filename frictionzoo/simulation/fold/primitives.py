@@ -4,8 +4,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
@@ -17,10 +15,15 @@ def _common(arrays: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
     return [as_entries(array) for array in arrays] if any(array.dtype == object for array in arrays) else arrays
 
 
+def _spread(array: np.ndarray, rank: int, dimensions: Sequence[Any]) -> np.ndarray:
+    """Reshape an array to `rank` dimensions, with its sizes at these places."""
+    shape = np.ones(rank, int)
+    shape[list(dimensions)] = array.shape
+    return array.reshape(shape)
+
+
 def _broadcast(array: np.ndarray, shape: Sequence[Any], dimensions: Sequence[Any]) -> np.ndarray:
-    sizes = np.ones(len(shape), int)
-    sizes[list(dimensions)] = array.shape
-    return np.broadcast_to(array.reshape(sizes), shape)
+    return np.broadcast_to(_spread(array, len(shape), dimensions), shape)
 
 
 def _reduce(simplifier: Simplifier, name: str, array: np.ndarray, axes: Sequence[Any], start: Any) -> np.ndarray:
@@ -64,45 +67,90 @@ def _power(simplifier: Simplifier, base: np.ndarray, exponent: int) -> np.ndarra
     return product if exponent > 0 else simplifier.elementwise("div", np.asarray(1.0), product)
 
 
-def _scatter(simplifier: Simplifier, inputs: Sequence[np.ndarray], params: Mapping[str, Any], add: bool) -> np.ndarray:
-    array, indices, updates = inputs
+def _pad(array: np.ndarray, filling: np.ndarray, config: Sequence[Any]) -> np.ndarray:
+    if any(low < 0 or high < 0 or inner for low, high, inner in config):
+        raise CannotSpecialiseError("pad with negative or inner padding")
+    array, filling = _common([array, filling])
+    padded = np.full([low + size + high for (low, high, _), size in zip(config, array.shape, strict=True)], filling)
+    padded[tuple(slice(low, low + size) for (low, _, _), size in zip(config, array.shape, strict=True))] = array
+    return padded
+
+
+def _dynamic_slice(array: np.ndarray, starts: Sequence[np.ndarray], sizes: Sequence[Any]) -> tuple[slice, ...]:
+    if any(start.dtype == object for start in starts):
+        raise CannotSpecialiseError("an index that depends on the state")
+    begins = [
+        min(max(int(start), 0), limit - size) for start, limit, size in zip(starts, array.shape, sizes, strict=True)
+    ]
+    return tuple(slice(start, start + size) for start, size in zip(begins, sizes, strict=True))
+
+
+def _update_slice(array: np.ndarray, update: np.ndarray, *starts: np.ndarray) -> np.ndarray:
+    array, update = _common([array, update])
+    written = array.copy()
+    written[_dynamic_slice(array, starts, update.shape)] = update
+    return written
+
+
+def _windows(
+    shape: Sequence[Any], indices: np.ndarray, sizes: Sequence[Any], numbers: lax.GatherDimensionNumbers, clip: bool
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Return the operand's index of each window entry, one array a dimension, and whether its window lies inside."""
     if indices.dtype == object:
         raise CannotSpecialiseError("an index that depends on the state")
+    places, batching = indices.shape[:-1], numbers.operand_batching_dims
+    kept = [dim for dim in range(len(shape)) if dim not in (*numbers.collapsed_slice_dims, *batching)]
+    rank = len(places) + len(kept)
+    place_dims = [dim for dim in range(rank) if dim not in numbers.offset_dims]
+    inside = np.ones(places, bool)
+    indices_by_dim = []
+    for dim, limit in enumerate(shape):
+        start = np.zeros(places, int)
+        if dim in numbers.start_index_map:
+            start = indices[..., numbers.start_index_map.index(dim)].astype(int)
+        elif dim in batching:
+            start = _broadcast(np.arange(limit), places, [numbers.start_indices_batching_dims[batching.index(dim)]])
+        if clip:
+            start = np.clip(start, 0, limit - sizes[dim])
+        inside = inside & (start >= 0) & (start + sizes[dim] <= limit)
+        index = _spread(np.asarray(start), rank, place_dims)
+        if dim in kept:
+            index = index + _spread(np.arange(sizes[dim]), rank, [numbers.offset_dims[kept.index(dim)]])
+        indices_by_dim.append(index)
+    *indices_by_dim, inside = np.broadcast_arrays(*indices_by_dim, _spread(np.asarray(inside), rank, place_dims))
+    return tuple(indices_by_dim), inside
 
-    def put(moved: Any) -> Any:
-        zeros = jnp.zeros(array.shape)
-        return lax.scatter_add(zeros, jnp.asarray(indices), moved, params["dimension_numbers"], mode=params["mode"])
 
-    with jax.ensure_compile_time_eval():  # the gradient of the entries' numbers is the number to which an update goes
-        _, pull = jax.vjp(put, jnp.zeros(updates.shape))
-        (places,) = pull(jnp.arange(1.0, array.size + 1).reshape(array.shape))
-    written = as_entries(array).ravel()
-    for place, update in zip(np.asarray(places, int).ravel() - 1, as_entries(updates).ravel(), strict=True):
-        if place >= 0:  # XLA drops entries outside
-            written[place] = simplifier.make("add", written[place], update) if add else update
-    return written.reshape(array.shape)
-
-
-MOVES: Mapping[str, int] = {"gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2, "pad": 2}
-"""Primitives that only move entries, with the number of inputs that have entries; the further ones are indices."""
-
-
-def move(primitive: Any, inputs: Sequence[np.ndarray], params: Mapping[str, Any]) -> np.ndarray:
-    """Apply a primitive of `MOVES` to arrays of entries: JAX applies it to the entries' numbers."""
-    count = MOVES[primitive.name]
-    if any(index.dtype == object for index in inputs[count:]):
-        raise CannotSpecialiseError("an index that depends on the state")
-    entries = np.concatenate([as_entries(array).ravel() for array in inputs[:count]])
-    firsts = np.cumsum([0, *(array.size for array in inputs[:count])])
-    numbers = [
-        first + np.arange(array.size).reshape(array.shape)
-        for first, array in zip(firsts[:-1], inputs[:count], strict=True)
-    ]
-    with jax.ensure_compile_time_eval():
-        places = np.asarray(primitive.bind(*map(jnp.asarray, (*numbers, *inputs[count:])), **params))
-    if (places < 0).any():
+def _gather(array: np.ndarray, indices: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
+    clip = params["mode"] != lax.GatherScatterMode.FILL_OR_DROP
+    places, inside = _windows(array.shape, indices, params["slice_sizes"], params["dimension_numbers"], clip)
+    if not inside.all():
         raise CannotSpecialiseError("an index out of bounds")
-    return entries[places]
+    return array[places]
+
+
+def _scatter(simplifier: Simplifier, inputs: Sequence[np.ndarray], params: Mapping[str, Any], add: bool) -> np.ndarray:
+    array, indices, updates = inputs
+    numbers = params["dimension_numbers"]
+    alike = lax.GatherDimensionNumbers(
+        offset_dims=numbers.update_window_dims,
+        collapsed_slice_dims=numbers.inserted_window_dims,
+        start_index_map=numbers.scatter_dims_to_operand_dims,
+        operand_batching_dims=numbers.operand_batching_dims,
+        start_indices_batching_dims=numbers.scatter_indices_batching_dims,
+    )
+    kept = [d for d in range(array.ndim) if d not in (*numbers.inserted_window_dims, *numbers.operand_batching_dims)]
+    sizes = [1] * array.ndim
+    for dim, along in zip(kept, numbers.update_window_dims, strict=True):
+        sizes[dim] = updates.shape[along]
+    places, inside = _windows(array.shape, indices, sizes, alike, clip=False)
+    array, updates = _common([array, updates])
+    written = array.copy()
+    for entry in np.argwhere(inside):  # XLA drops entries outside
+        entry = tuple(entry)
+        place = tuple(int(index[entry]) for index in places)
+        written[place] = simplifier.make("add", written[place], updates[entry]) if add else updates[entry]
+    return written
 
 
 PRIMITIVES: Mapping[str, Callable[[Simplifier, list[np.ndarray], Mapping[str, Any]], np.ndarray]] = {
@@ -118,12 +166,19 @@ PRIMITIVES: Mapping[str, Callable[[Simplifier, list[np.ndarray], Mapping[str, An
     "expand_dims": lambda _, x, p: np.expand_dims(x[0], tuple(p["dimensions"])),
     "transpose": lambda _, x, p: x[0].transpose(p["permutation"]),
     "rev": lambda _, x, p: np.flip(x[0], p["dimensions"]),
+    "iota": lambda _, __, p: _broadcast(
+        np.arange(p["shape"][p["dimension"]], dtype=p["dtype"]), p["shape"], [p["dimension"]]
+    ),
     "concatenate": lambda _, x, p: np.concatenate(_common(x), p["dimension"]),
     "stack": lambda _, x, p: np.stack(_common(x), p["axis"]),
     "tile": lambda _, x, p: np.tile(x[0], p["reps"]),
+    "pad": lambda _, x, p: _pad(x[0], x[1], p["padding_config"]),
     "slice": lambda _, x, p: x[0][
         tuple(map(slice, p["start_indices"], p["limit_indices"], p["strides"] or [1] * x[0].ndim))
     ],
+    "dynamic_slice": lambda _, x, p: x[0][_dynamic_slice(x[0], x[1:], p["slice_sizes"])],
+    "dynamic_update_slice": lambda _, x, __: _update_slice(*x),
+    "gather": lambda _, x, p: _gather(x[0], x[1], p),
     "scatter": lambda simplifier, x, p: _scatter(simplifier, x, p, add=False),
     **dict.fromkeys(("scatter-add", "scatter_add"), lambda simplifier, x, p: _scatter(simplifier, x, p, add=True)),
     "dot_general": lambda simplifier, x, p: _contract(simplifier, x[0], x[1], p["dimension_numbers"]),

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from frictionzoo.simulation.fold.expression import OPERATIONS, CannotSpecialiseError, Expression, is_number
 from frictionzoo.simulation.fold.polynomial import Expander
-from frictionzoo.simulation.fold.primitives import MOVES, PRIMITIVES, move
+from frictionzoo.simulation.fold.primitives import PRIMITIVES
 from frictionzoo.simulation.fold.simplify import Simplifier
 
 _WORTH_EXPANDING = 700  # largest number of operations for which multiplying out is tried: one or two joints
@@ -210,8 +210,6 @@ def _apply(simplifier: Simplifier, equation: Any, inputs: list[np.ndarray]) -> l
         axis = params["axis"]
         return [part.squeeze(axis) for part in np.split(inputs[0], inputs[0].shape[axis], axis)]
     if any(array.dtype == object for array in inputs):
-        if name in MOVES:
-            return [move(equation.primitive, inputs, params)]
         raise CannotSpecialiseError(name)
     with jax.ensure_compile_time_eval():
         results = equation.primitive.bind(*map(jnp.asarray, inputs), **params)
