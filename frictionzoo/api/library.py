@@ -255,7 +255,7 @@ def load(folder: str | Path) -> Identified:
         ConfigError: The extra is not installed.
     """
     is_on_hub = isinstance(folder, str) and folder.startswith(PREFIX)
-    return Identified.load(fetch_card(folder) if is_on_hub else Path(folder))
+    return Identified.load(fetch_card(str(folder)) if is_on_hub else Path(folder))
 
 
 @_naming_arguments()

@@ -61,16 +61,15 @@ class Begun(NamedTuple):
             saved = read_json(path)
         except RunError as error:
             raise ConfigError(f"resume={folder}: {error}") from None
-        choices, options, settings = (saved.get(name) for name in cls._fields)
-        texts = options if isinstance(options, list) else [None]
-        sections = isinstance(choices, dict) and isinstance(settings, dict)
-        if not sections or not all(isinstance(text, str) and not _OF_HYDRA.match(text) for text in texts):
+        choices, options, settings = map(cast(Any, saved).get, cls._fields)
+        are_sections = isinstance(choices, dict) and isinstance(settings, dict) and isinstance(options, list)
+        if not are_sections or not all(isinstance(text, str) and not _OF_HYDRA.match(text) for text in options):
             raise ConfigError(f"{path}: expected choices, options and settings; name a run that this program made")
         for group, name in choices.items():
             valid_names = list_choices(group) if group in GROUPS else []
             if name not in valid_names:
                 raise ConfigError(f"{path}: {group}={name}: no such {group}; {closest(str(name), valid_names)}")
-        return cls(choices, texts, settings)
+        return cls(choices, options, settings)
 
 
 def restore_overrides(arguments: Sequence[str]) -> list[str]:
