@@ -32,7 +32,8 @@ from frictionzoo.core.segments import cut_segments
 from frictionzoo.data.clean import Cleaning
 from frictionzoo.data.files import Files
 from frictionzoo.data.split import Split
-from frictionzoo.fit import Grid, Objective, loggers, run_fit
+from frictionzoo.fit import Grid, loggers, run_fit
+from frictionzoo.fit.loss import Loss
 from frictionzoo.models import Baseline, registry
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
@@ -83,7 +84,7 @@ DEFAULTS = {  # what Python takes where nothing is said, by the choice and the s
     "data=files clean": Cleaning,
     "data=files split": Split,
     "segments": cut_segments,
-    "loss": Objective,
+    "loss": Loss,
     "evaluation": Evaluation,
     "loop": run_fit,
 }

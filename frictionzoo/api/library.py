@@ -153,7 +153,7 @@ def identify(
             MJCF.
         method: Name of a fit, such as `auto`, `lm`, `adam`, `grid` or `known`, or a `Fit` with options.
         segments: Segments of the fit: arguments of `frictionzoo.core.segments.cut_segments`.
-        loss: Loss of the fit: arguments of `frictionzoo.fit.Objective`.
+        loss: Loss of the fit: fields of `frictionzoo.fit.loss.Loss`.
         evaluation: Evaluation rollouts: arguments of `frictionzoo.result.evaluate.Evaluation`.
         loop: Fit loop: arguments of `frictionzoo.fit.run_fit`.
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, by default 1 in SI units; bounds and
