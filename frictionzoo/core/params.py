@@ -87,10 +87,10 @@ class Parameter:
     """
 
     dimension: str
-    init: float
-    low: float
-    high: float
-    scale: str | float = "log"
+    init: float | int
+    low: float | int
+    high: float | int
+    scale: str | float | int = "log"
     identify: bool = True
     from_robot: bool = False
 
