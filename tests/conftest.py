@@ -492,7 +492,7 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> Result:
         "proof": {"step": 0.0, "rollout": 1e-15, "cases": 32, "steps": 8},
         **{"warnings": [], "not_identified": None, "reference": [], "residual": None},
         "settings": {"seed": place},
-        **{"columns": [], "covariance": None, "recipe": [], "notes": [], "device": "cpu", "written": []},
+        **{"columns": [], "covariance": None, "recipe": [], "notes": [], "device": "cpu", "written": [], "card": None},
         "versions": dict.fromkeys(("python", *PACKAGES), "1"),
         "verdict": {"grade": "nothing speaks against it", "findings": [], "commands": []},
     }
