@@ -60,7 +60,7 @@ def check_work(bench: Bench, joint: int, share: float) -> Iterator[Finding]:
 
 def takes_energy(bench: Bench, joint: int, share: float) -> bool:
     """Return whether a command takes more energy than plausible: none if no other joint moves its joint."""
-    return share < (OPPOSED if _is_alone(bench, joint) else CARRIED)
+    return bool(share < (OPPOSED if _is_alone(bench, joint) else CARRIED))
 
 
 def _is_alone(bench: Bench, joint: int) -> bool:

@@ -181,7 +181,9 @@ class Parts:
         }
         arrays = {name: getattr(start, name) for name in _ARRAYS} if start else {}
         arrays = {name: array for name, array in arrays.items() if array is not None}
-        write_atomically(path, safetensors.numpy.save(arrays, {_TEXT: json.dumps(to_json(text))}))
+        header = {_TEXT: json.dumps(to_json(text))}
+        header["sha256"] = _sign(header[_TEXT], arrays)
+        write_atomically(path, safetensors.numpy.save(arrays, header))
         return chosen
 
     def _read(self, path: Path, identity: str) -> "Parts | None":
@@ -191,8 +193,9 @@ class Parts:
         try:
             with safetensors.safe_open(path, "numpy") as file:
                 arrays: dict[str, Any] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                stored = json.loads((file.metadata() or {})[_TEXT])
-            fits = stored["identity"] == identity and {*stored["options"]} <= {*_list_open(self.settings)}
+                header = file.metadata() or {}
+            stored, whole = json.loads(header[_TEXT]), header["sha256"] == _sign(header[_TEXT], arrays)
+            fits = whole and stored["identity"] == identity and {*stored["options"]} <= {*_list_open(self.settings)}
         except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError):
             fits = False
         if not fits:
@@ -225,6 +228,11 @@ class Parts:
             "model": digest(state),
         }
         return hashlib.sha256(json.dumps(to_json(facts), sort_keys=True).encode()).hexdigest()
+
+
+def _sign(text: str, arrays: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the file's content, to detect damage."""
+    return hashlib.sha256(f"{text}{digest(dict(sorted(arrays.items())))}".encode()).hexdigest()
 
 
 def refuse_unknown(recipe: str) -> None:
