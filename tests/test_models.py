@@ -281,6 +281,38 @@ def test_directional_and_quadratic_known_values(motor, external, always, at_rest
         assert limit.flatten().tolist() == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("larger", "smaller", "values"),
+    [
+        ("stribeck", "mujoco_default", {"stribeck_torque": 0.0}),
+        ("load_dependent", "mujoco_default", {"load_friction": 0.0}),
+        ("stribeck_load_dependent", "stribeck", {"load_friction": 0.0, "stribeck_load_friction": 0.0}),
+        ("stribeck_load_dependent", "load_dependent", {"stribeck_torque": 0.0, "stribeck_load_friction": 0.0}),
+        (
+            "directional",
+            "stribeck_load_dependent",
+            {
+                **{"load_friction_motor": 0.1, "load_friction_external": 0.1},
+                **{"stribeck_load_friction_motor": 0.05, "stribeck_load_friction_external": 0.05},
+            },
+        ),
+        ("quadratic", "directional", dict.fromkeys(SQUARES, 0.0)),
+    ],
+)
+def test_a_larger_law_holds_the_smaller(larger, smaller, values):
+    general, special, state = make_law(larger), make_law(smaller), random_state(200, 1)
+    common = {"load_friction": 0.1, "stribeck_load_friction": 0.05}
+    terms = []
+    for model, own in ((special, {}), (general, values)):
+        chosen = {name: param.init for name, param in model.params.items()} | common | own
+        given = {name: torch.tensor([value], dtype=torch.float64) for name, value in chosen.items()}
+        terms.append(model.terms(torch, given, in_torch(state)))
+    ours, theirs = (torch.broadcast_to(term.frictionloss, (200, 1)) for term in terms)
+    # Rounding: the larger law adds more terms.
+    torch.testing.assert_close(ours, theirs, rtol=1e-14, atol=0.0)
+    assert torch.equal(terms[0].damping, terms[1].damping)
+
+
 def test_neural_friction_known_values():
     model = NeuralFriction(nv=1, hidden=[2], seed=0)
     model.load_state_dict(
