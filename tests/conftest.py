@@ -494,7 +494,7 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> Result:
         "settings": {"seed": place},
         **{"columns": [], "covariance": None, "recipe": [], "notes": [], "device": "cpu", "written": [], "card": None},
         "versions": dict.fromkeys(("python", *PACKAGES), "1"),
-        "verdict": {"grade": "nothing speaks against it", "findings": [], "commands": []},
+        "verdict": {"grade": "no problems found", "findings": [], "commands": []},
     }
     return msgspec.convert(content, Result)
 

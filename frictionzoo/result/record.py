@@ -113,7 +113,7 @@ def build_result(
         settings=dict(settings),
         written=[],
         not_identified=None,
-        verdict=Verdict("nothing speaks against it", [], []),
+        verdict=Verdict("no problems found", [], []),
         **sections,
     )
     result = complete(result)

@@ -325,7 +325,7 @@ class Residual(Record):
     """Residual analysis of each joint that moves enough."""
 
 
-Grade = Literal["nothing speaks against it", "use it with care", "do not use it"]
+Grade = Literal["no problems found", "use it with care", "do not use it"]
 
 
 class ResultFinding(Record):

@@ -60,7 +60,7 @@ def judge(result: Result, commands: Sequence[types.Command] = ()) -> types.Verdi
     ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
     findings = sorted(_find_doubts(result), key=lambda row: (ranks.get(row.kind, len(ranks)), not row.severe))
     severe = any(finding.severe for finding in findings)
-    grade: types.Grade = DO_NOT_USE if severe else "use it with care" if findings else "nothing speaks against it"
+    grade: types.Grade = DO_NOT_USE if severe else "use it with care" if findings else "no problems found"
     allowed = _allow(commands, grade, identified=not result.not_identified)
     return types.Verdict(grade, findings, allowed)
 
