@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from msgspec.structs import asdict, astuple, replace
 
 from frictionzoo.core.anonymous import list_paths_of, without_paths
@@ -102,8 +101,7 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
     place, command = str(folder.absolute()), say_command(folder)
     paths = {place, *list_paths_of(result, command)}
     place, command, result = without_paths([place, command, result], paths, result.joints, Path.cwd())
-    courses = [(p, curves.history.get(f"{p.owner}.{p.name}")) for p in result.parameters]
-    result.parameters = [p if c is None else _add_starts(p, result.joints, c) for p, c in courses]
+    result.parameters = [_add_starts(parameter, result.joints, curves) for parameter in result.parameters]
     joints = list_joints(result) if len(result.joints) > 1 else []
     absent = {*(("friction", "left") if joints else ("joints",)), *([] if replay else ["replay"])}
     metrics, timestep = result.metrics, result.settings.get("bench", {}).get("timestep")
@@ -168,13 +166,12 @@ class _StartedValue(Value):
     start: float
 
 
-def _add_starts(parameter: Parameter, joints: list[str], course: Float[np.ndarray, "iterations ..."]) -> Parameter:
-    starts = np.ravel(course[0])
-    rows = (
-        _StartedValue(*astuple(row), start=float(starts[joints.index(row.joints[0])])) if row.identified else row
-        for row in parameter.by_joint
-    )
-    return replace(parameter, by_joint=list(rows))
+def _add_starts(parameter: Parameter, joints: list[str], curves: Curves) -> Parameter:
+    if (course := curves.history.get(f"{parameter.owner}.{parameter.name}")) is None:
+        return parameter
+    start = dict(zip(joints, np.ravel(course[0]).tolist(), strict=False))
+    rows = [_StartedValue(*astuple(row), start[row.joints[0]]) if row.identified else row for row in parameter.by_joint]
+    return replace(parameter, by_joint=rows)
 
 
 def _say_ranks(curves: Curves) -> str:
@@ -365,16 +362,15 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
     """Return for each joint its errors with and without friction, its parameters, and doubtful values."""
     test = result.metrics.test
     largest = max(result.by_joint, key=lambda row: row.test.position_mae or 0.0)
+    residuals = {row.joint: row for row in (result.residual.by_joint if result.residual else [])}
     joints = []
     for row in result.by_joint:
         values = [(p, value) for p in result.parameters for value in p.by_joint if row.joint in value.joints]
         # Values shared by all joints are not a doubt about this joint.
         doubts = [_doubt_value(p, value) for p, value in values if len(value.joints) < len(result.joints)]
-        residuals = result.residual.by_joint if result.residual else []
-        residual = next((entry for entry in residuals if entry.joint == row.joint), None)
         shown = {
             "name": row.joint,
-            "residual": residual,
+            "residual": residuals.get(row.joint),
             "errors": list(_compare_errors(row.test, row.baseline, test)),
             "parameters": values,
             "open": row is largest,
@@ -384,9 +380,8 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
 
 
 def _doubt_value(parameter: Parameter, value: Value) -> str:
-    if value.at_bound:
-        return f"{parameter.name} at a bound"
-    return f"{parameter.name} not identifiable" if value.identifiable is False else ""
+    doubt = "at a bound" if value.at_bound else "not identifiable" if value.identifiable is False else ""
+    return f"{parameter.name} {doubt}" if doubt else ""
 
 
 def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
