@@ -66,7 +66,7 @@ def _slopes(
             continue
         moved = np.array(vector, np.float64)
         moved[indices[~at_bound[indices]]] += STEP
-        values = space.values(jnp.asarray(moved, space.start.dtype)).friction
+        values = space.values(jnp.asarray(moved, space.start.dtype))["friction"]
         torque = left.equation.left(moved, friction(values, left.equation.state(moved)))
         slopes.append((torque - left.torque)[:, :, None] / STEP)
     return np.concatenate(slopes, axis=2)
