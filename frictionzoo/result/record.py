@@ -29,7 +29,7 @@ from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Judgement, Values
 from frictionzoo.result.names import label_values
-from frictionzoo.result.section_types import Command, Gravity, Inertia, Verdict
+from frictionzoo.result.section_types import BaseParameter, Command, Gravity, Inertia, Link, Verdict
 from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import explain_failure, judge
 
@@ -239,7 +239,7 @@ def _describe_links(found: LinkInertia) -> types.Links:
     tilt = found.tilt
     return types.Links(
         links=[
-            types.Link(
+            Link(
                 body=body,
                 found=_describe_inertia(new),
                 maker=_describe_inertia(old),
@@ -251,8 +251,7 @@ def _describe_links(found: LinkInertia) -> types.Links:
         and Gravity(tilt.gravity.tolist(), tilt.maker.tolist(), tilt.angle, error=float(tilt.errors.max())),
         determined=int(found.determined.sum()),
         base=[
-            types.BaseParameter(text, float(value), float(error), bool(determined))
-            for text, value, error, determined in rows
+            BaseParameter(text, float(value), float(error), bool(determined)) for text, value, error, determined in rows
         ],
     )
 
