@@ -147,7 +147,7 @@ def test_what_is_drawn_of_each_joint_stays_where_it_is_known_or_vague(findings: 
         *(f"friction.frictionloss/{joint}" for joint in JOINTS if joint != "FL_knee"),
     )
     spread = Covariance(labels, np.log([0.1] * 5), 0.01 * np.eye(5), 49.0)
-    result = build_result(replace(findings, uncertainty=replace(findings["uncertainty"], covariance=spread)))
+    result = build_result(**findings | {"uncertainty": replace(findings["uncertainty"], covariance=spread)})
     jsonschema.Draft202012Validator(read_schema()).validate(to_json(result))
     found = draw_parameters("here", result, findings["bench"], findings["model"], 1000, seed=0)
     assert found.keys() == {"bench.armature", "friction.frictionloss"}  # of damping nothing is said
