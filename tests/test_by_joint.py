@@ -8,7 +8,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from browser import read_data
+from helpers.browser import read_data
 from msgspec.structs import replace as replace_fields
 from test_report import FIT, PROOF, SETTINGS, TIMESTEP, TIMING, curves_of, make_rollout
 

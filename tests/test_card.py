@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import ROOT, finish
-from robot_texts import LEG
+from helpers.robot_texts import LEG
 from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz

@@ -24,13 +24,13 @@ import pytest
 import reproduce
 from conftest import BRIEF, Finished, needs_data, render_nothing
 from filelock import FileLock
+from helpers.pages import PAGES, ROOT, blocks_of, commands_of, expand
+from helpers.write_logs import WRITERS, write_degrees, write_log
 from omegaconf import OmegaConf
-from pages import PAGES, ROOT, blocks_of, commands_of, expand
 from test_benchmarks import QUICKEST
 from test_out_of_tree import COMMANDS as WITH_PACKAGE
 from test_sweep import LAUNCHERS
 from test_tutorials import write_robots
-from write_logs import WRITERS, write_degrees, write_log
 
 from frictionzoo.cli.commands import COMMANDS
 from frictionzoo.cli.inspect import _name_files

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import CLIPPED, WIDTHS, needs_browser, open_page, read_data
 from conftest import changed, put
+from helpers.browser import CLIPPED, WIDTHS, needs_browser, open_page, read_data
 from test_html import HOSTILE, Page, judge_targets
 from test_report import bench, dataset, evaluation, model, of_joints, result  # noqa: F401
 

@@ -15,10 +15,10 @@ import lz4.frame
 import numpy as np
 import pytest
 import scipy.io
+from helpers.write_logs import OPTIONS, STORE, WRITERS, command, signals, write_bag, write_bam, write_log, write_npz
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
-from write_logs import OPTIONS, STORE, WRITERS, command, signals, write_bag, write_bam, write_log, write_npz
 
 from frictionzoo.core.errors import FrictionzooError, LogError
 from frictionzoo.data.clean import Cleaning, clean

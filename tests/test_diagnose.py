@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import DATA, needs_data
-from recordings import make_recording, read_sts3215, read_xl330, simulate_servo
+from helpers.recordings import make_recording, read_sts3215, read_xl330, simulate_servo
 
 from frictionzoo.core.errors import LogError
 from frictionzoo.data.delay import estimate_delay

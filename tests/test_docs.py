@@ -13,8 +13,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 from conftest import changed
+from helpers.pages import ROOT
 from omegaconf import OmegaConf
-from pages import ROOT
 
 import frictionzoo as fz
 from frictionzoo.core.config import CONF_DIR

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
+from helpers.browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
 from test_html import HOSTILE, Page, judge_targets
 
 from frictionzoo.core.config import compose_settings

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import DATA, needs_data
-from fitted import fit
-from robot_texts import ARM, LEG, changed, save
+from helpers.fitted import fit
+from helpers.robot_texts import ARM, LEG, changed, save
 
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench import JointPD

@@ -17,9 +17,7 @@ import pyarrow.parquet
 import pytest
 import scipy.io
 from conftest import DATA, needs_data
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from rosbags.rosbag2 import StoragePlugin
-from write_logs import (
+from helpers.write_logs import (
     COMMAND,
     EPOCH,
     OPTIONS,
@@ -34,6 +32,8 @@ from write_logs import (
     write_log,
     write_messages,
 )
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from rosbags.rosbag2 import StoragePlugin
 
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.data.columns import to_recording

@@ -10,8 +10,8 @@ from html.parser import HTMLParser
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
 from conftest import changed, put
+from helpers.browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
 from plotly.offline import get_plotlyjs_version
 from test_report import bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 

@@ -12,11 +12,11 @@ import jsonschema
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
 from conftest import DATA, ROOT, needs_data
-from recordings import make_recording, read_sts3215, simulate_servo
+from helpers.browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
+from helpers.recordings import make_recording, read_sts3215, simulate_servo
+from helpers.write_logs import write_csv
 from test_html import HOSTILE, Page
-from write_logs import write_csv
 
 from frictionzoo.cli.inspect import main
 from frictionzoo.core.log import Dataset, Log

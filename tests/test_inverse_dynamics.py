@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import job_settings, needs_data, run_main
-from robots import JOINTS, TRUTH, arm
+from helpers.robots import JOINTS, TRUTH, arm
 
 from frictionzoo.bench import Bench, Force
 from frictionzoo.bench.base_parameters import find_base_parameters

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import check_each
-from makers_actuators import (
+from helpers.makers_actuators import (
     KINDS,
     MOTOR,
     POSITION,

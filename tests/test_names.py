@@ -23,7 +23,7 @@ import pytest
 import torch
 import yaml
 from conftest import make_run, slow_but, trace_nothing
-from fitted import FREE
+from helpers.fitted import FREE
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Finished
-from pages import PACKAGE, ROOT, blocks_of
+from helpers.pages import PACKAGE, ROOT, blocks_of
 
 from frictionzoo.core.config import list_choices
 from frictionzoo.models import model_names

@@ -8,9 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.write_logs import (
+    EPOCH,
+    write_csv,
+    write_mat,
+    write_npz,
+    write_parquet,
+    write_robot_bag,
+    write_robot_lerobot,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from write_logs import EPOCH, write_csv, write_mat, write_npz, write_parquet, write_robot_bag, write_robot_lerobot
 
 import frictionzoo as fz
 from frictionzoo.core.errors import BenchError, ConfigError, LogError

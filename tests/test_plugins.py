@@ -14,12 +14,12 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from helpers.pages import ROOT
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import OmegaConf
-from pages import ROOT
 
 from frictionzoo.cli.list import main
 from frictionzoo.core import config, registry

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import Finished, changed
-from robot_texts import LEG, save
+from helpers.robot_texts import LEG, save
 from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz

@@ -9,9 +9,9 @@ import subprocess
 
 import pytest
 from conftest import check_each, pytest_runtest_setup
+from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
-from pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
 
 from frictionzoo.cli.commands import COMMANDS
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_choices, list_options

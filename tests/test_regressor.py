@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from robots import arm
+from helpers.robots import arm
 
 from frictionzoo.bench.base_parameters import BaseParameters, find_base_parameters
 from frictionzoo.bench.inertia import (

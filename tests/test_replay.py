@@ -6,8 +6,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from browser import needs_browser, open_page, read_data
 from conftest import changed
+from helpers.browser import needs_browser, open_page, read_data
 from test_report import bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
 from frictionzoo.bench import Bench, PositionPD, Robot

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 import torch
-from robots import JOINTS, TRUTH, arm
+from helpers.robots import JOINTS, TRUTH, arm
 from test_inverse_dynamics import STEP, log_of, move, needed
 
 from frictionzoo.bench import Bench, Force, JointPD

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import DATA, ROOT, needs_data
-from robot_texts import ARM, GRIPPER, LEG, TENDON, TWO, body, changed, compiled, read, save
+from helpers.robot_texts import ARM, GRIPPER, LEG, TENDON, TWO, body, changed, compiled, read, save
 
 from frictionzoo.bench.robot_file import RobotFile, read_robot
 from frictionzoo.core.errors import BenchError

@@ -10,7 +10,7 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from robot_texts import ARM, GRIPPER, LEG, TWO, body, changed, compiled, read, save
+from helpers.robot_texts import ARM, GRIPPER, LEG, TWO, body, changed, compiled, read, save
 
 from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.core.errors import BenchError, ConfigError

@@ -23,8 +23,8 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from helpers.schema import Variant, all_places, variants, write_files
 from omegaconf import OmegaConf
-from schema import Variant, all_places, variants, write_files
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.build import build

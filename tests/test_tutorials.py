@@ -12,7 +12,7 @@ import pytest
 import torch
 from conftest import ROOT
 from filelock import FileLock
-from robots import GAINS, HEADERS, TRUTH, arm, record
+from helpers.robots import GAINS, HEADERS, TRUTH, arm, record
 
 import frictionzoo as fz
 from frictionzoo.bench.robot_file import read_robot

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from pages import ROOT
+from helpers.pages import ROOT
 
 
 def run(*command: str | Path, **options: Path) -> str:

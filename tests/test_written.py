@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from fitted import fit
+from helpers.fitted import fit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
