@@ -58,10 +58,10 @@ class Begun(NamedTuple):
             raise ConfigError(f"resume={folder}: no {path}, expected the folder of a run; name one{hint}")
         try:
             refuse_links(folder, files=True)
-            saved = read_json(path)
+            saved: Any = read_json(path)
         except RunError as error:
             raise ConfigError(f"resume={folder}: {error}") from None
-        choices, options, settings = map(cast(Any, saved).get, cls._fields)
+        choices, options, settings = map(saved.get, cls._fields)
         are_sections = isinstance(choices, dict) and isinstance(settings, dict) and isinstance(options, list)
         if not are_sections or not all(isinstance(text, str) and not _OF_HYDRA.match(text) for text in options):
             raise ConfigError(f"{path}: expected choices, options and settings; name a run that this program made")

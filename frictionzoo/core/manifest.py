@@ -253,12 +253,14 @@ class Manifest:
             )
         self._listed = {name for _, name, _ in entries if name}
         for kind, name, content in entries:
-            if kind == self.kind and isinstance(content, State):
+            if kind != self.kind:
+                continue
+            if isinstance(content, State):
                 self._states.setdefault(name, []).append(content)
-            elif kind == self.kind and isinstance(content, tuple):
-                self._marks[name] = content
-            elif kind == self.kind:
+            elif isinstance(content, str):
                 self._tokens.add(content)
+            else:
+                self._marks[name] = content
 
     def _write(self, entries: Iterable[Mapping[str, Any]]) -> None:
         path = self.root / MANIFEST

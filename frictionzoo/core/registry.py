@@ -100,9 +100,10 @@ class Kind:
             origin = getattr(find_spec(point.module), "origin", None)
         except Exception as error:  # another package's import error must not end the listing
             return Plugin(point.name, point.module, point.module, f"does not load: {error}")
-        for name, cls, summary in _read_file(Path(origin), self.decorator) if origin else ():
+        path = Path(origin) if origin else None
+        for name, cls, summary in _read_file(path, self.decorator) if path else ():
             if name == point.name:
-                return Plugin(name, point.module, f"{point.module}.{cls}", summary, Path(origin))
+                return Plugin(name, point.module, f"{point.module}.{cls}", summary, path)
         return Plugin(point.name, point.module, point.module, "")
 
 

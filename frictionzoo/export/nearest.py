@@ -151,7 +151,7 @@ def _follow(fitted: FittedDrive, values: Values | None = None) -> Segments:
 def _read(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> tuple[Float[np.ndarray, "nv"], ...]:
     """Return armature, frictionloss and damping of a coordinate vector."""
     values = objective.space.values(jnp.asarray(vector))
-    both = values["bench"] | values["friction"]
+    both = {**values["bench"], **values["friction"]}
     return tuple(np.array(both[name], np.float64) for name in ("armature", "frictionloss", "damping"))
 
 

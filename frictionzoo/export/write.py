@@ -59,7 +59,7 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
 
 def summarise_exports(written: Sequence[Written]) -> str:
     """Return a table with a row for each comparison, then the limits of each target and the folders of the files."""
-    rows = [("target", "compared", "over", "largest difference", "mean", "error", "limits", "")]
+    rows: list[Sequence[str]] = [("target", "compared", "over", "largest difference", "mean", "error", "limits", "")]
     limits, reasons = list[str](), list[str]()
     for one in written:
         if one.export is None:

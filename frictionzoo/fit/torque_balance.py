@@ -187,8 +187,8 @@ class _Unknowns:
         """Return the normal equations; an infinite loss where the parameters are not physically consistent."""
         if not is_consistent(self.split(at)[1]).all():
             return NormalEquations(np.inf, np.zeros(len(at)), np.zeros((len(at), len(at))))
-        parts = zip(self.measured(at, sigma)[:3], self.prior(at, whole=True)[:3], strict=True)
-        return NormalEquations(*(measured + prior for measured, prior in parts))
+        one, other = self.measured(at, sigma), self.prior(at, whole=True)
+        return NormalEquations(one.loss + other.loss, one.gradient + other.gradient, one.hessian + other.hessian)
 
     def measured(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> NormalEquations:
         moving, slopes = self.equation.moving, append_links(self.equation.slope(self.split(at)[0]), self.links)

@@ -71,6 +71,7 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
     with take_place(place, "card", [PAGE, *FILES, RESULT]) as fresh:
         drive = FittedDrive.load(folder)
         result = describe_card(drive, folder, options)
+        assert result.card is not None
         for name in (LAW, *MODELS):
             if (folder / name).exists():
                 write_atomically(fresh / name, (folder / name).read_bytes())

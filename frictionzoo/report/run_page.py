@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec.structs import asdict, astuple, replace
+from msgspec.structs import asdict, replace
 
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.jobs import read_begun
@@ -170,7 +170,10 @@ def _add_starts(parameter: Parameter, joints: list[str], curves: Curves) -> Para
     if (course := curves.history.get(f"{parameter.owner}.{parameter.name}")) is None:
         return parameter
     start = dict(zip(joints, np.ravel(course[0]).tolist(), strict=False))
-    rows = [_StartedValue(*astuple(row), start[row.joints[0]]) if row.identified else row for row in parameter.by_joint]
+    rows = [
+        _StartedValue(**asdict(row), start=start[row.joints[0]]) if row.identified else row
+        for row in parameter.by_joint
+    ]
     return replace(parameter, by_joint=rows)
 
 
