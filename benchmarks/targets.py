@@ -22,7 +22,7 @@ from measure import make_parser, report
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench.compiled import INERTIAL
 from frictionzoo.core.errors import ExportError, FrictionzooError
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Written, measure
 from frictionzoo.export.motor import aim, lag, motors, read_inputs
 from frictionzoo.export.simulate import commands_before

@@ -184,7 +184,12 @@ def test_the_record_tells_links_beside_their_makers(result: Any) -> None:
     assert (gravity["maker"], round(gravity["angle"], 5), gravity["error"]) == ([0, 0, -9.81], 0.02, 0.001)
     first, second = result["links"]["base"]
     assert first["determined"] and not second["determined"] and result["links"]["determined"] == 1
-    assert to_json(second) == {"combination": "mx FL_thigh + my FL_thigh", "value": 0.01, "error": None, "determined": False}
+    assert to_json(second) == {
+        "combination": "mx FL_thigh + my FL_thigh",
+        "value": 0.01,
+        "error": None,
+        "determined": False,
+    }
 
 
 def test_labels_name_the_joint_or_the_joints_that_share(result: Any) -> None:

@@ -15,8 +15,8 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config, list_choices
 from frictionzoo.core.declared import section_of
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.units import UNITS
 from frictionzoo.models import FrictionModel, NeuralFriction, get_model, model_names
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.by_name import complete_laws

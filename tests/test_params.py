@@ -10,7 +10,8 @@ import torch
 import frictionzoo as fz
 from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import UNITS, Param, read_params
+from frictionzoo.core.params import Param, read_params
+from frictionzoo.core.units import UNITS
 from frictionzoo.models.mujoco_default import MujocoDefault
 
 GOOD = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}

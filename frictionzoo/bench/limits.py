@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 
 KINDS = ("commanded position", "commanded velocity", "position", "velocity", "torque")
 """Limited quantities, in the order of `Motion.shares`."""

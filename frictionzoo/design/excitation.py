@@ -13,7 +13,7 @@ from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.bench.limits import KINDS, Limits, Motion, refuse_unholdable
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.design.design import design, scale_within
 from frictionzoo.design.information import relative
 from frictionzoo.design.plan import Request

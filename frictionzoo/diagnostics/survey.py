@@ -13,7 +13,7 @@ from frictionzoo import __version__
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import JITTER, Log, pool_origins
 from frictionzoo.core.output import to_json
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.data.delay import estimate_delay
 from frictionzoo.data.pairing import arrange_recording, describe_columns, has_names, label
 from frictionzoo.data.recording import Recording, refuse_incomplete

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from frictionzoo.bench.template import INTEGRATORS
 from frictionzoo.core.errors import ConfigError, ExportError
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.registry import KINDS, Registry
+from frictionzoo.core.units import UNITS
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.verdict import FAR
 

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import write_literal
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Export, Target, match_joint, measure
 from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, list_lacks, motors, read_inputs, run_joints, say_common
 from frictionzoo.export.nearest import Nearest, find_nearest

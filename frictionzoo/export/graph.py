@@ -13,8 +13,8 @@ import torch
 from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.output import write_atomically
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Difference, Export, Target, measure
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models.base import FrictionModel, sliding_torque

@@ -11,7 +11,7 @@ import numpy as np
 
 from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Difference, Export, Target, list_values, measure, register_target
 from frictionzoo.export.bench import list_lacks, say_limits, write_bench
 from frictionzoo.export.nearest import Nearest, find_nearest

@@ -9,8 +9,8 @@ import numpy as np
 
 from frictionzoo import __version__
 from frictionzoo.core.errors import ExportError
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import Code, open_template
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import Source, read_source, write_values
 from frictionzoo.models import TorchFriction

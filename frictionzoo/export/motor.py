@@ -15,8 +15,8 @@ from frictionzoo.bench.actuators.position_pd import PositionPD
 from frictionzoo.bench.actuators.recorded_pd import RecordedPD
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ExportError
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import Signals
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import list_values, read_number
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import simulate

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
 from frictionzoo.core.errors import ExportError, RunError
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.units import UNITS
 from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.blocks import divide, into_blocks
 from frictionzoo.fit.chunk import search

@@ -11,8 +11,8 @@ import numpy as np
 
 from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import Code
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Difference, Export, Target, match_joint, measure, read_number, register_target
 from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.configclass import LIMITS

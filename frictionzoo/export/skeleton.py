@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import list_values
 from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.nearest import Nearest

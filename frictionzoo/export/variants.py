@@ -9,7 +9,7 @@ import yaml
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, ExportError, closest
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.motor import motors
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.evaluate import Values

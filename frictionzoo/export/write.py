@@ -15,8 +15,8 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
 from frictionzoo.core.output import take_place, to_json, write_atomically, write_json
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import align, escape_all
+from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Export, Written, get_target, read_number, target_names
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some

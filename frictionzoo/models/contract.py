@@ -13,8 +13,8 @@ import safetensors.torch
 import torch
 
 from frictionzoo.core.errors import ModelError, closest
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.units import UNITS
 from frictionzoo.models.base import FrictionModel, TorchFriction, Values, sliding_torque
 from frictionzoo.models.contained import check_contained
 from frictionzoo.models.formula import (

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from frictionzoo.bench import Bench, Robot
 from frictionzoo.bench.robot_file import look_at
 from frictionzoo.core.errors import BenchError
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.report.colors import BASELINE, MEASURED, MODEL, SOFT
 from frictionzoo.report.run_plots import choose_rollouts
 from frictionzoo.report.text import format_number

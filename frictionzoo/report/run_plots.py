@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure as Drawing
 
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import say_percent
+from frictionzoo.core.units import UNITS
 from frictionzoo.report import with_matplotlib
 from frictionzoo.report.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
 from frictionzoo.report.figure import Axis, Band, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments, cut_rollouts
+from frictionzoo.core.units import UNITS
 from frictionzoo.result.torque import AS_THE_FIT
 from frictionzoo.result.types import JointErrors, Metrics
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.fit import Space
 from frictionzoo.fit.motion import Decimation
 from frictionzoo.models import FrictionModel

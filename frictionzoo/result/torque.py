@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from frictionzoo.bench.actuators.force import Force
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
-from frictionzoo.core.params import UNITS
+from frictionzoo.core.units import UNITS
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.motion import Filtering, Recordings
 from frictionzoo.fit.torque_equation import TorqueEquation

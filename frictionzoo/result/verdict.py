@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import say_percent
+from frictionzoo.core.units import UNITS
 from frictionzoo.result import section_types as types
 from frictionzoo.result.names import name_some, name_unidentifiable, name_where, say_bounds
 from frictionzoo.result.types import Metrics, Parameter, ReferenceParameter, Result
