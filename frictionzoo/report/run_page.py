@@ -143,20 +143,15 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
 def list_uses(place: str, usable: bool = True) -> list[str]:
     """Return lines that use the result in a folder, in a shell and in Python; unless `usable`, they only read it."""
     export = [f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf"] if usable else []
-    return [
-        *export,
-        "import frictionzoo as fz",
-        f"drive = fz.load({place!r})",
-        "drive.parameters, drive.rollout()" if usable else "drive.parameters, drive.result.verdict",
-    ]
+    use = "drive.parameters, drive.rollout()" if usable else "drive.parameters, drive.result.verdict"
+    return [*export, "import frictionzoo as fz", f"drive = fz.load({place!r})", use]
 
 
 def say_command(folder: Path) -> str | None:
     """Return the shell command of the run in a folder, without `resume` and `hydra` options; None if not stored."""
-    overrides = read_begun(folder, "overrides")
-    if not isinstance(overrides, list):
+    if not isinstance(overrides := read_begun(folder, "overrides"), list):
         return None
-    kept = [str(item) for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", str(item))]
+    kept = (text for text in map(str, overrides) if not re.match(r"[+~]*(resume|hydra)\b", text))
     return shlex.join(["python", "-m", "frictionzoo.run", *kept])
 
 
