@@ -272,6 +272,7 @@ def judge(target: str, plain: Path, folder: Path, names: Sequence[str]) -> None:
     renamed = {rename(name, quoted): path for name, path in expected.items()}
     assert {str(path.relative_to(written)) for path in _list_files(written)} == renamed.keys()
     for name, path in renamed.items():
+        assert path.suffix in JUDGES, f"add a function to JUDGES that reads names in {path.suffix} files"
         JUDGES[path.suffix](path, written / name, instead)
 
 

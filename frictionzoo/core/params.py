@@ -37,7 +37,7 @@ class Parameter:
     configuration), so they suit both a servo and a carriage; see `frictionzoo.core.units.TYPICAL`.
 
     Attributes:
-        dimension: A key of `UNITS`.
+        dimension: One of `frictionzoo.core.units.DIMENSIONS`.
         init: Initial value.
         low: Lower bound.
         high: Upper bound.
@@ -71,7 +71,7 @@ class Param:
 
     Attributes:
         name: MuJoCo's or the literature's word.
-        dimension: A key of `UNITS`; the unit follows from the joint's type.
+        dimension: One of `frictionzoo.core.units.DIMENSIONS`; the unit follows from the joint's type.
         init: Initial value, constant where `identify` is false; None if the robot's file has to give it.
         low: Lower bound.
         high: Upper bound.

@@ -19,6 +19,8 @@ _UNITS = {
     "time": ("s", "s"),
     "1": ("1", "1"),
 }
+DIMENSIONS = tuple(_UNITS)
+"""Names of the dimensions."""
 UNITS: dict[str, dict[str, str]] = {
     joint_type: {dimension: units[at] for dimension, units in _UNITS.items()}
     for at, joint_type in enumerate(("hinge", "slide"))

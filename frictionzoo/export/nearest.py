@@ -42,7 +42,7 @@ class Nearest:
 
     Attributes:
         frictionloss: [N m or N].
-        damping: [N m s/rad or N s/m].
+        damping: [N m s/rad or N s/m], without the damping of the test stand, `bench.own_damping`.
         remark: Description of the approximation and its loss of accuracy; empty for MuJoCo's friction model.
         lacks: Reason for differences from the drive, in a few words.
     """

@@ -252,6 +252,7 @@ class Stages(Trials):
                 )
             )
         self.start = self._found
+        reason = f"at most {1e3 * COARSEST:g} ms, or a fifth of the sample interval if that is longer"
         self._choose("bench.timestep", self._step, reason)
 
     def _shorten(self) -> tuple[str, float]:
@@ -300,4 +301,5 @@ class Stages(Trials):
         self._choose("loss.robust", "none", "a robust loss is tried only with few parameters")
         self._choose("loss.robust_scale", 1.0, "not used")
         self._choose("loss.encoder_step", 0.0, "least squares average out encoder rounding")
-        self._choose("bench.timestep", self._step, f"at most {1e3 * COARSEST:g} ms, divides the sample interval")
+        reason = f"at most {1e3 * COARSEST:g} ms, or a fifth of the sample interval if that is longer"
+        self._choose("bench.timestep", self._step, reason)

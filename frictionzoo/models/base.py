@@ -34,7 +34,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         physical_parameters: Dimension, initial value and bounds of each physical parameter, the options
             `model.params.NAME`. In frictionzoo's files, which are read without running them, write a dictionary of
             `Parameter(...)` with constants, and `**Other.physical_parameters` for those of another model.
-        dimensions: Dimension of each physical parameter, a key of `frictionzoo.core.units.UNITS`. A class may declare
+        dimensions: Dimension of each parameter, one of `frictionzoo.core.units.DIMENSIONS`. A class may declare
             these alone; `params`, or a YAML file of the model's package, then has the rest.
         constraint: Whether `terms` returns a `frictionloss`, so the simulated joint needs MuJoCo's friction constraint.
         constrained: `constraint` of each joint; a joint without it has `frictionloss` 0 if other joints have one.

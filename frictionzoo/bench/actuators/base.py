@@ -31,7 +31,7 @@ class Actuator(Described, ABC):
     """Base class of actuator laws.
 
     Attributes:
-        dimensions: Dimension of each parameter, a key of `frictionzoo.core.units.UNITS`.
+        dimensions: Dimension of each parameter, one of `frictionzoo.core.units.DIMENSIONS`.
         optional: Parameters that may be omitted or known to be 0; the law then omits their effect.
         ends: Parameters among `optional` that keep their effect at 0.
         positive: Parameters whose initial value must be above 0 in each joint, with advice for the error message.
