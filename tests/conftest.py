@@ -50,6 +50,9 @@ from frictionzoo.simulation.context import computing
 
 torch.set_num_threads(1)  # torch is loaded and no longer looks at the environment
 
+pytest.register_assert_rewrite("helpers")  # what their assertions compared is told too
+pytest_plugins = ["helpers.bam", "helpers.legged", "helpers.results"]  # fixtures beside what they are made from
+
 DATA = os.environ.get("FRICTIONZOO_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="FRICTIONZOO_DATA is not set; it names the folder of recordings")
 
@@ -62,6 +65,7 @@ BRIEF = {  # options of an evaluation that takes no time
     **{"evaluation.horizons": "[0.1]", "evaluation.rollouts": "1", "evaluation.places": "1"},
     **{"evaluation.trajectory": "0.1", "evaluation.window": "0.02"},
 }
+LAUNCHERS = ("joblib", "submitit_local", "ray")  # of sweeps
 UNOPTIMISED = "jax_disable_most_optimizations"  # XLA as JAX's own tests use it: compiling takes two thirds of the time
 
 
@@ -246,6 +250,13 @@ def render_nothing(patch: pytest.MonkeyPatch) -> None:
     Not while `finished_run` makes a run, which is everybody's.
     """
     patch.setattr(with_matplotlib, "save_figure", lambda figure, path: None)
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """JAX computes in double precision."""
+    with jax.enable_x64(True):
+        yield
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from test_fit import x64  # noqa: F401 - a fixture for all tests
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.branches import group_alike
@@ -23,31 +22,11 @@ from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.simulation.drive import Drive
 from frictionzoo.simulation.proof import Recorded, initial_values, prove
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 SECTION = {"low": 1e-3, "high": 10.0, "scale": "log", "identify": True}
 OFFSET = {"init": 0.01, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": True}
 DELAY = {"init": 0.003, "low": 0.0, "high": 0.02, "scale": 0.01, "identify": True, "tie": True}
-
-
-def limb(name: str, side: float, joints: int) -> str:
-    inner = f"""<body pos="0 {0.05 * side} -0.2"><joint name="{name}_knee" axis="0 1 0"/>
-      <inertial pos="0.01 {0.02 * side} -0.1" mass="0.4" diaginertia="0.003 0.002 0.001" quat="1 {0.1 * side} 0 0"/>
-    </body>"""
-    return f"""<body pos="0.2 {0.1 * side} 0.5"><joint name="{name}_hip" axis="{side} 0 0" damping="0.02"/>
-      <inertial pos="0 {0.03 * side} -0.1" mass="1" diaginertia="0.01 0.01 0.005"/>{inner if joints > 1 else ""}
-    </body>"""
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Bench]:
-    """Two mirrored legs and a tail of one joint, all on a base that is fixed, from arguments of `Bench`."""
-    path = tmp_path_factory.mktemp("robot") / "robot.xml"
-    limbs = limb("left", 1.0, 2) + limb("tail", 0.5, 1) + limb("right", -1.0, 2)
-    path.write_text(
-        f'<mujoco><option timestep="0.002"/><worldbody><body name="base">{limbs}</body></worldbody></mujoco>'
-    )
-    joints = ["left_hip", "left_knee", "tail_hip", "right_hip", "right_knee"]
-    pd = PositionPD(kp=[20, 40, 10, 20, 40], kd=[0.5, 1, 0.3, 0.5, 1])
-    return lambda **more: Bench(str(path), joints, actuator=pd, **more)
 
 
 def law(**changes: Any) -> MujocoDefault:

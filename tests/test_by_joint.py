@@ -9,8 +9,8 @@ import jsonschema
 import numpy as np
 import pytest
 from helpers.browser import read_data
+from helpers.results import FIT, PROOF, SETTINGS, TIMESTEP, TIMING, curves_of, make_rollout
 from msgspec.structs import replace as replace_fields
-from test_report import FIT, PROOF, SETTINGS, TIMESTEP, TIMING, curves_of, make_rollout
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base_parameters import BaseParameters

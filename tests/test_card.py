@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 import yaml
 from conftest import ROOT, finish
+from helpers.fitted import fit as fit_robot
 from helpers.robot_texts import LEG
-from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
 from frictionzoo.cli.finished import card as main

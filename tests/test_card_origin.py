@@ -9,7 +9,7 @@ from pathlib import Path
 import cards
 import pytest
 from conftest import finish, job_settings, needs_data, run_main
-from test_bam import M1, options, write_logs
+from helpers.bam import M1, options, write_logs
 
 import frictionzoo as fz
 from frictionzoo.bench.read_bam import read_bam

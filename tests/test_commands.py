@@ -22,15 +22,13 @@ from pathlib import Path
 
 import pytest
 import reproduce
-from conftest import BRIEF, Finished, needs_data, render_nothing
+from conftest import BRIEF, LAUNCHERS, Finished, needs_data, render_nothing
 from filelock import FileLock
-from helpers.pages import PAGES, ROOT, blocks_of, commands_of, expand
+from helpers.benchmarks import QUICKEST
+from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
+from helpers.tutorials import write_robots
 from helpers.write_logs import WRITERS, write_degrees, write_log
 from omegaconf import OmegaConf
-from test_benchmarks import QUICKEST
-from test_out_of_tree import COMMANDS as WITH_PACKAGE
-from test_sweep import LAUNCHERS
-from test_tutorials import write_robots
 
 from frictionzoo.cli.commands import COMMANDS
 from frictionzoo.cli.inspect import _name_files
@@ -237,6 +235,7 @@ def is_a_target_of_ci(command: str, place: Place) -> bool:
 
 
 SLOW = pytest.mark.slow
+WITH_PACKAGE = blocks_of(PACKAGE / "README.md")  # tests/test_out_of_tree.py runs them
 FROM = r"python -m frictionzoo\."
 LEFT = {
     "test_bam": rf"{FROM}bench\.read_bam FILE\.json",

@@ -9,8 +9,8 @@ import plotly.graph_objects as go
 import pytest
 from conftest import changed, put
 from helpers.browser import CLIPPED, WIDTHS, needs_browser, open_page, read_data
-from test_html import HOSTILE, Page, judge_targets
-from test_report import bench, dataset, evaluation, model, of_joints, result  # noqa: F401
+from helpers.html_pages import HOSTILE, Page, judge_targets
+from helpers.results import of_joints
 
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.state import Signals
@@ -55,7 +55,7 @@ def make_curves(error, joints, rollouts, seed):
     )
 
 
-def make_run(folder, result, label, error, joints=("knee",), rollouts=10, seed=0):  # noqa: F811
+def make_run(folder, result, label, error, joints=("knee",), rollouts=10, seed=0):
     record = changed(of_joints(result, *joints), model=label.partition(" ")[0], fit={"stopped": "finished"})
     curves = make_curves(error, len(joints), rollouts, seed)
     for part in ("train", "test"):
@@ -75,7 +75,7 @@ def diverge(run):
 
 
 @pytest.fixture
-def runs(result, tmp_path):  # noqa: F811
+def runs(result, tmp_path):
     errors = zip(LABELS, (0.010, 0.0102, 0.04), strict=True)
     return [make_run(tmp_path, result, label, error, seed=i) for i, (label, error) in enumerate(errors)]
 
@@ -142,7 +142,7 @@ def test_the_page_opens_with_what_to_take_and_what_to_do(runs, tmp_path, monkeyp
     assert len(links) == 11 and links == sorted(links, key=identifiers.index)
 
 
-def test_what_is_next_fits_what_was_found(runs, result):  # noqa: F811
+def test_what_is_next_fits_what_was_found(runs, result):
     """More rollouts where they may tell laws apart, and no law that was tried."""
     close = replace(runs[1], label="coulomb_smooth")
     for run in (runs[0], close):
@@ -152,9 +152,9 @@ def test_what_is_next_fits_what_was_found(runs, result):  # noqa: F811
     assert [step.command for step in steps] == [swept, "record"]
     steps = list_next_steps(compare_runs([runs[0], runs[2]], []), runs[0])
     assert steps[0].command.endswith("model=coulomb_smooth") and len(steps) == 2
-    suggest(runs[0], "fz.identify(bench, 'baseline', logs)", "excite(drive)")
+    suggest(runs[0], "fz.identify(bench, 'baseline', logs)", "fz.design_recording({}, drive)")
     steps = list_next_steps(compare_runs([runs[0], runs[2]], []), runs[0])
-    assert [step.command for step in steps] == ["excite(drive)"]
+    assert [step.command for step in steps] == ["fz.design_recording({}, drive)"]
 
 
 def test_a_drive_that_is_not_to_be_used_goes_nowhere(runs, tmp_path, monkeypatch):
@@ -170,7 +170,7 @@ def test_a_drive_that_is_not_to_be_used_goes_nowhere(runs, tmp_path, monkeypatch
     assert not any(word in text for word in ("frictionzoo.export", "frictionzoo.design", "identified.xml"))
 
 
-def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811
+def test_no_absolute_path_is_on_the_page(result, tmp_path):
     home = "/home/some body/logs"
     runs = [make_run(tmp_path, result, "baseline", 0.01 * (1 + i), seed=i) for i in range(2)]
     for i, run in enumerate(runs):
@@ -189,7 +189,7 @@ def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811
     assert "python -m frictionzoo.run bench.mjcf=stand0.xml" in shown.replace("'", "")
 
 
-def test_same_names_in_other_folders_are_told_apart(result, tmp_path):  # noqa: F811
+def test_same_names_in_other_folders_are_told_apart(result, tmp_path):
     runs = [make_run(tmp_path, result, "baseline", 0.01, seed=i) for i in range(2)]
     for run, folder in zip(runs, "ab", strict=True):
         run.result.settings |= {"seed": 0, "bench": {"mjcf": f"/{folder}/stand.xml"}}
@@ -213,7 +213,7 @@ def state_of(source):
 
 
 @pytest.mark.parametrize("joints", [("knee",), ("hip", "knee")], ids=len)
-def test_every_figure_is_valid_and_says_what_it_shows(result, tmp_path, joints):  # noqa: F811
+def test_every_figure_is_valid_and_says_what_it_shows(result, tmp_path, joints):
     runs = [make_run(tmp_path, result, label, 0.01 * 3**i, joints, seed=i) for i, label in enumerate(LABELS)]
     source, _ = show(tmp_path / "comparison.html", runs)
     figures, canvases = read_data(source)["figures"], Page(source).with_attribute("data-figure")
@@ -279,7 +279,7 @@ def test_no_friction_has_a_colour_of_its_own():
     assert len({(look["color"], look["dash"]) for look in looks.values()}) == 10
 
 
-def test_a_far_difference_leaves_the_frame_and_is_named(runs, result, tmp_path):  # noqa: F811
+def test_a_far_difference_leaves_the_frame_and_is_named(runs, result, tmp_path):
     close = [make_run(tmp_path, result, f"other{i}", 0.0105, seed=3 + i) for i in range(3)]
     far = make_run(tmp_path, result, "far", 5.0, seed=9)
     source, comparison = show(tmp_path / "comparison.html", [*runs[:2], *close, far])
@@ -313,7 +313,7 @@ def test_one_run_alone_has_a_page(runs, tmp_path):
     assert "nothing to compare" in plain(source)
 
 
-def test_hostile_names_stay_text(runs, result, tmp_path):  # noqa: F811
+def test_hostile_names_stay_text(runs, result, tmp_path):
     hostile = make_run(tmp_path, result, HOSTILE, 0.02, joints=(HOSTILE,), seed=3)
     hostile = replace(hostile, folder=tmp_path / "javascript:alert(1)" / "a#b?c")
     hostile.folder.mkdir(parents=True)
@@ -351,7 +351,7 @@ def test_nothing_comes_from_elsewhere(runs, tmp_path):
     judge_targets(show(tmp_path / "comparison.html", runs)[0])
 
 
-def test_long_curves_of_many_runs_stay_small(result, tmp_path):  # noqa: F811
+def test_long_curves_of_many_runs_stay_small(result, tmp_path):
     runs = [make_run(tmp_path, result, f"law{i}", 0.01, seed=i) for i in range(20)]
     simulated = "qpos", "qvel", "baseline_qpos", "baseline_qvel"
     runs = [
@@ -392,7 +392,7 @@ def test_a_recommended_run_that_diverged_is_a_problem(runs):
     assert checks_of(runs)["Stability"].state == "bad"
 
 
-def test_few_rollouts_ask_for_caution(result, tmp_path):  # noqa: F811
+def test_few_rollouts_ask_for_caution(result, tmp_path):
     runs = [make_run(tmp_path, result, label, 0.01, rollouts=3, seed=i) for i, label in enumerate(LABELS)]
     assert checks_of(runs)["Few rollouts"].state == "caution"
 
@@ -447,7 +447,7 @@ def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked_or_linke
 
 
 @needs_browser
-def test_the_page_does_not_scroll_sideways(runs, result, tmp_path):  # noqa: F811
+def test_the_page_does_not_scroll_sideways(runs, result, tmp_path):
     name = "law-with-a-very-long-name-that-cannot-be-broken-anywhere-at-all-in-any-table"
     runs = [*runs, make_run(tmp_path, result, name, 0.02, seed=3)]
     for run in runs:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import slow_but
-from test_models import friction
+from helpers.laws import friction
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log

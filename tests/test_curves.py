@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import safetensors.numpy
 import torch
-from test_compare import HARD, make_curves
-from test_report import PARAMS
+from helpers.curves import HARD, make_curves
+from helpers.results import PARAMS
 
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models.baseline import Baseline

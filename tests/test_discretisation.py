@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.known_drive import pose
 from omegaconf import OmegaConf
-from test_fit import pose, x64  # noqa: F401 - x64 is a fixture for all tests
 
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.described import remake
@@ -17,6 +17,8 @@ from frictionzoo.identification import Parts, Problem
 from frictionzoo.identification.pilot import halve_step, in_other_steps
 from frictionzoo.identification.solve import finer, is_wanted
 from frictionzoo.simulation.drive import Drive
+
+pytestmark = pytest.mark.usefixtures("x64")
 
 TRUTH = {"bench.armature": 0.07, "friction.viscous_coefficient": 0.4}
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import torch
 from conftest import make_run, slow_but, trace_nothing
+from helpers.imports import imports
 from omegaconf import OmegaConf
-from test_levels import imports
 
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, Robot

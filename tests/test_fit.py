@@ -1,134 +1,24 @@
 """Objective, coordinates and methods on segments whose truth is known."""
 
 import copy
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
+from helpers.known_drive import KNOWN, PARAMETERS, TRUTH, bowl, identified, pose, run
 
-from frictionzoo.bench import Bench
-from frictionzoo.core.build import build
-from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.manifest import MANIFEST
-from frictionzoo.core.segments import Segments
-from frictionzoo.core.state import DriveState, Signals
-from frictionzoo.fit import (
-    Adam,
-    Auto,
-    Fit,
-    Grid,
-    InverseDynamics,
-    LevenbergMarquardt,
-    Objective,
-    Several,
-    Space,
-    fit_reference,
-    run_fit,
-)
+from frictionzoo.fit import Adam, Auto, Fit, Grid, InverseDynamics, LevenbergMarquardt, Several, fit_reference
 from frictionzoo.fit.chunk import search
-from frictionzoo.fit.loggers import TensorBoard
-from frictionzoo.fit.loop import Record
-from frictionzoo.models import FrictionModel
-from frictionzoo.simulation import friction_of, make_engine
-from frictionzoo.simulation.rollout import Rollout, make_rollout
 
-LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
-TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
-PARAMETERS = ("bench.params.armature", "model.params.frictionloss", "model.params.damping")
-KNOWN = [f"{name}.identify=false" for name in PARAMETERS]
-
-
-@pytest.fixture(autouse=True)  # test_lm and test_uncertainty import it
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
-
-
-@dataclass
-class Problem:
-    model: FrictionModel
-    objective: Objective
-
-
-@cache
-def record() -> Segments:
-    """Segments of a drive with MuJoCo's own friction, made by MuJoCo C, without noise."""
-    bench = build(OmegaConf.to_container(compose_config(), resolve=True)["bench"])
-    values = bench.initial_values() | {"armature": np.array([TRUTH["armature"]])}
-    text = bench.mjcf(values, np.array([TRUTH["frictionloss"]]), np.array([TRUTH["damping"]]))
-    model = mujoco.MjModel.from_xml_string(text)
-    rng = np.random.default_rng(0)
-    batch, time = 60, 5
-    states = np.empty((batch, time + 1, 2))
-    ctrl = np.empty((batch, time, 1))
-    data = mujoco.MjData(model)
-    for row in range(batch):
-        mujoco.mj_resetData(model, data)
-        data.qpos, data.qvel = rng.normal(), rng.normal()
-        ctrl[row] = data.qpos + rng.normal(scale=0.1)
-        states[row, 0] = data.qpos[0], data.qvel[0]
-        for i in range(time):
-            data.ctrl = ctrl[row, i]
-            mujoco.mj_step(model, data)
-            states[row, i + 1] = data.qpos[0], data.qvel[0]
-    return Segments(states[..., :1], states[..., 1:], Signals(ctrl), 0.001)
-
-
-@cache
-def compose_drive(choices: tuple[str, ...]) -> tuple[Bench, FrictionModel]:
-    """The bench and the law of these choices."""
-    config = OmegaConf.to_container(compose_config(*choices), resolve=True)
-    bench, law = build(config["bench"]), build(config["model"], nv=1)
-    law.prepare(DriveState(*np.random.default_rng(0).normal(size=(5, 100, 1))))
-    return bench, law
-
-
-@cache
-def roll_out(model: str, bench: str, engine: str) -> Rollout:
-    """Rollouts of a law on a bench; they know neither bounds nor what is identified."""
-    bench, law = compose_drive((f"model={model}", f"bench={bench}"))
-    return make_rollout(make_engine(engine, bench, friction_of(law), law.constraint))
-
-
-PROGRAMS: dict[Any, Any] = defaultdict(dict)  # compiled equations of objectives that differ by their numbers only
-
-
-def pose(
-    model: str,
-    *overrides: str,
-    segments: Segments | None = None,
-    bench: str = "knee",
-    engine: str = "specialised",
-    **loss: Any,
-) -> Problem:
-    """The identification problem of one model on these segments; `overrides` say what is identified, and from where."""
-    drive = copy.deepcopy(compose_drive((f"model={model}", f"bench={bench}", *overrides)))
-    rollout, segments = roll_out(model, bench, engine), record() if segments is None else segments
-    objective = Objective(Space(*drive, "float64"), rollout, segments, **(LOSS | loss))
-    shapes = tuple(part.shape for part in jax.tree.leaves(objective.data))
-    objective._programs = PROGRAMS[model, bench, engine, overrides, str(loss), objective.stretches, shapes]
-    return Problem(drive[1], objective)
-
-
-def bowl(problem: Problem, centre: float = 0.0) -> Problem:
-    """The same problem with another loss, which compiles at once: a vector's distance from this one."""
-    problem.objective.value_and_grad = lambda _: jax.value_and_grad(lambda vector, _: jnp.sum((vector - centre) ** 4))
-    return problem
-
-
-def identified(values: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    return {name: np.ravel(value)[0] for owner in values.values() for name, value in owner.items()}
+pytestmark = pytest.mark.usefixtures("x64")
 
 
 @pytest.mark.parametrize("name", ["mujoco_default", "residual_network"])
@@ -184,11 +74,6 @@ def test_known_truth_has_no_loss_in_our_engine() -> None:
     vector = jnp.log(jnp.asarray([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]]))
     assert list(space.params) == ["bench.armature", "friction.frictionloss", "friction.damping"]
     assert float(problem.objective.loss(vector, problem.objective.data)) < 1e-24
-
-
-def run(problem: Problem, fit: Any, folder: Path, **options: Any) -> Any:
-    loop = {"chunk": 100, "patience": None, "progress": False} | options
-    return run_fit(fit, problem.objective, problem.model, Record(folder, TensorBoard()), **loop)
 
 
 def test_adam_recovers_a_known_drive(tmp_path: Path) -> None:

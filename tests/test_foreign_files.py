@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 import frictionzoo as fz
 from frictionzoo.api.comparison_files import FILES as COMPARISON
 from frictionzoo.api.comparison_files import write_comparison as write_real_comparison
-from frictionzoo.cli.finished import design as excite
+from frictionzoo.cli.finished import design
 from frictionzoo.cli.inspect import inspect_data
 from frictionzoo.cli.resume import recorded
 from frictionzoo.cli.student import distill
@@ -377,7 +377,7 @@ def test_a_sweep_refuses_foreign_files(call: Callable, tmp_path: Path, name: str
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unrendered")
-@pytest.mark.parametrize("command", ["save", "card", "export", "compare", "inspect", "excite", "distill"])
+@pytest.mark.parametrize("command", ["save", "card", "export", "compare", "inspect", "design", "distill"])
 def test_foreign_files_stay_whatever_a_command_does(
     finished_run: Callable, outputs: dict[str, Path], recording: Path, tmp_path: Path, command: str
 ) -> None:
@@ -390,7 +390,7 @@ def test_foreign_files_stay_whatever_a_command_does(
         "export": lambda folder: write_exports(run, {"target": "torchscript", "output": str(folder)}),
         "compare": lambda folder: write_real_comparison([finished_run("sweep")[0]], folder),
         "inspect": lambda folder: inspect_data(inspected, folder),
-        "excite": lambda folder: finish(lambda: excite([str(run), *limits, f"output={folder}"])),
+        "design": lambda folder: finish(lambda: design([str(run), *limits, f"output={folder}"])),
         "distill": lambda folder: distill(run, {"model": "mujoco_default", "output": str(folder)}),
     }
 

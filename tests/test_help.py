@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from conftest import ROOT, check_each, slow_but
-from test_readme import assert_composes
+from helpers.composing import assert_composes
 
 from frictionzoo.cli import list as list_command
 from frictionzoo.cli import run

@@ -5,15 +5,15 @@ import gzip
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 from conftest import changed, put
 from helpers.browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
+from helpers.html_pages import HOSTILE, Page, judge_targets
+from helpers.results import curves_of, make_rollout, of_joints
 from plotly.offline import get_plotlyjs_version
-from test_report import bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
 from frictionzoo.core.anonymous import without_paths
 from frictionzoo.core.output import to_json
@@ -27,34 +27,10 @@ from frictionzoo.report.text import format_change
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.portrait import Portrait
 
-HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
-
 
 @pytest.fixture
-def record(result):  # noqa: F811
+def record(result):
     return changed(result, fit={"stopped": "finished", "moving": []})
-
-
-class Page(HTMLParser):
-    """The elements of a page with their attributes, and its text without scripts and styles."""
-
-    def __init__(self, source):
-        super().__init__()
-        self.elements, self.text, self._raw = [], "", False
-        self.feed(source)
-
-    def handle_starttag(self, tag, attrs):
-        self.elements.append((tag, dict(attrs)))
-        self._raw = tag in ("script", "style")
-
-    def handle_endtag(self, tag):
-        self._raw = False
-
-    def handle_data(self, data):
-        self.text += "" if self._raw else " ".join(data.split()) + " "
-
-    def with_attribute(self, name):
-        return [attributes for _, attributes in self.elements if name in attributes]
 
 
 def report(path, record, joints=("knee",), rollout=None, **more):
@@ -317,15 +293,6 @@ def test_hostile_names_stay_text(record, tmp_path):
 
 def test_nothing_comes_from_elsewhere(record, tmp_path):
     judge_targets(report(tmp_path / "report.html", record))
-
-
-def judge_targets(source):
-    """Nothing that a page shows or leads to lies on another machine."""
-    targets = [element[name] for name in ("src", "href", "action") for element in Page(source).with_attribute(name)]
-    assert not [target for target in targets if re.match(r"\s*(?:https?:)?//", target)]
-    assert "default-src 'none'" in source and "@import" not in source
-    # plotly.js offers to upload a chart to its makers' server unless it is told not to.
-    assert "showSendToCloud: false" in source
 
 
 def test_no_doubts_about_a_good_run(record):

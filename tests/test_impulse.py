@@ -4,9 +4,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from test_fit import x64  # noqa: F401 - a fixture for all tests
-from test_shooting import shoot
-from test_start import ARM, TRUTH, swing
+from helpers.driven_arm import ARM, TRUTH, shoot, swing
 
 from frictionzoo.bench import Bench, Force
 from frictionzoo.core.log import Log
@@ -14,6 +12,8 @@ from frictionzoo.core.segments import cut_segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loss import impulses, is_moving, rigid_inertia_of
+
+pytestmark = pytest.mark.usefixtures("x64")
 
 IMPULSE = {"position": 0.0, "velocity": 1.0, "refine": False, "impulse": True, "by_joint": True}
 

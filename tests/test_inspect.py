@@ -14,9 +14,9 @@ import plotly.graph_objects as go
 import pytest
 from conftest import DATA, ROOT, needs_data
 from helpers.browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
+from helpers.html_pages import HOSTILE, Page
 from helpers.recordings import make_recording, read_sts3215, simulate_servo
 from helpers.write_logs import write_csv
-from test_html import HOSTILE, Page
 
 from frictionzoo.cli.inspect import main
 from frictionzoo.core.log import Dataset, Log

@@ -12,6 +12,7 @@ import pytest
 import torch
 from conftest import job_settings, needs_data, run_main
 from helpers.robots import JOINTS, TRUTH, arm
+from helpers.torque_logs import STEP, log_of, move, needed
 
 from frictionzoo.bench import Bench, Force
 from frictionzoo.bench.base_parameters import find_base_parameters
@@ -30,7 +31,6 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.registry import get_model
 
-STEP = 0.002  # s
 FILTERING = Filtering(bandwidth=20.0)
 SECTION = {"init": 0.5, "low": 1e-4, "high": 50.0, "scale": "log", "identify": True}
 SPREAD = np.repeat([0.2, 0.03, 0.3], [1, 3, 6])
@@ -49,16 +49,6 @@ def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def move(nv: int, seconds: float = 8.0, seed: int = 0) -> np.ndarray:
-    """Positions, velocities and accelerations of a motion that excites all joints, exactly."""
-    rng, time = np.random.default_rng(seed), np.arange(0, seconds, STEP)[:, None, None]
-    rates, phases = 2 * np.pi * rng.uniform(0.1, 1.5, (6, nv)), rng.uniform(0, 2 * np.pi, (6, nv))
-    sizes = 1.5 * rng.uniform(0.5, 1.0, (6, nv)) / rates
-    parts = (np.sin(rates * time + phases), rates * np.cos(rates * time + phases))
-    waves = (parts[0], parts[1], -(rates**2) * parts[0])
-    return np.stack([(sizes * wave).sum(axis=1) for wave in waves])
-
-
 def bench_of(path: Path, **params: Any) -> Bench:
     """The arm, driven by torque."""
     return Bench(str(path), JOINTS, actuator=Force(), params={"armature": SECTION | {"low": 1e-4}} | params)
@@ -68,18 +58,6 @@ def law_of(name: str, nv: int, **changes: Any) -> FrictionModel:
     """A law whose parameters are all identified, from the same start."""
     dimensions = get_model(name).dimensions
     return get_model(name)(nv, {parameter: SECTION | changes.get(parameter, {}) for parameter in dimensions})
-
-
-def log_of(qpos: np.ndarray, torque: np.ndarray, name: str = "a") -> Log:
-    time = STEP * np.arange(len(qpos))
-    return Log(name, time, qpos, np.gradient(qpos, STEP, axis=0), torque, "hash", True)
-
-
-def needed(model: mujoco.MjModel, motion: np.ndarray) -> np.ndarray:
-    """Torque of links, armature, Coulomb and viscous friction, by MuJoCo C's inverse dynamics."""
-    rigid = inverse_torque(model, *motion)
-    friction = TRUTH["frictionloss"] * np.sign(motion[1]) + TRUTH["damping"] * motion[1]
-    return rigid + TRUTH["armature"] * motion[2] + friction
 
 
 def equation_of(bench: Bench, law: FrictionModel, *logs: Log, held: bool = False) -> TorqueEquation:

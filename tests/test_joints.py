@@ -8,7 +8,6 @@ import jax
 import numpy as np
 import pytest
 import torch
-from test_fit import x64  # noqa: F401 - a fixture
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench, PositionPD
@@ -17,6 +16,8 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.params import Param, read_params, read_tie
 from frictionzoo.fit import Space
 from frictionzoo.models.mujoco_default import MujocoDefault
+
+pytestmark = pytest.mark.usefixtures("x64")
 
 JOINTS = ("FL_hip", "FL_calf", "FR_hip", "FR_calf")
 MOTORS = {"hip": ".*_hip", "calf": ".*_calf"}

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from test_torch_only import STRIBECK, TorchStribeck
+from helpers.torch_laws import STRIBECK, TorchStribeck
 
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.manifest import MANIFEST
@@ -47,7 +47,8 @@ PATIENCE = 300.0  # s after which a process that has not ended is a failure
 WITH_LAW = """
 import signal
 signal.signal(signal.SIGINT, signal.SIG_DFL)
-from test_torch_only import TorchStribeck, register_model
+from frictionzoo.models import register_model
+from helpers.torch_laws import TorchStribeck
 register_model("torch_stribeck")(TorchStribeck)
 from frictionzoo.cli.run import main
 main()

@@ -10,9 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from test_branches import robot  # noqa: F401 - a fixture
-from test_fit import x64  # noqa: F401 - a fixture for all tests
-from test_robot import dog  # noqa: F401 - a fixture
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench
@@ -24,7 +21,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.simulation.drive import Drive, looks_at_one_joint
 from frictionzoo.simulation.proof import Recorded, initial_values, prove
 
-pytestmark = pytest.mark.usefixtures("in_haste")
+pytestmark = pytest.mark.usefixtures("x64", "in_haste")
 
 MIXED = {"tail.*": "coulomb_smooth", ".*_hip": "lugre", ".*": "mujoco_default"}
 SEVERAL = ["mujoco_default", "lugre", "baseline", {"law": "odd_network", "hidden": [4]}, "temperature_linear"]
@@ -41,7 +38,7 @@ def by_joint(laws: Any, nv: int) -> Any:
     return fz.law("by_joint", nv=nv, laws=laws)
 
 
-def test_parameters_are_those_of_the_joints_of_a_law(robot: Callable[..., Bench]) -> None:  # noqa: F811
+def test_parameters_are_those_of_the_joints_of_a_law(robot: Callable[..., Bench]) -> None:
     bench, law = robot(), by_joint(MIXED, 5)
     law.bind(bench.joints)
     assert law.members == ((2,), (0, 3), (1, 4)) and law.memory == 1
@@ -65,7 +62,7 @@ def test_parameters_are_those_of_the_joints_of_a_law(robot: Callable[..., Bench]
 
 
 @pytest.mark.parametrize("engine", ["specialised", pytest.param("mjx", marks=pytest.mark.slow)])
-def test_it_is_simulated_as_mujoco_does(robot: Callable[..., Bench], engine: str) -> None:  # noqa: F811
+def test_it_is_simulated_as_mujoco_does(robot: Callable[..., Bench], engine: str) -> None:
     """With and without constraint in one leg, without any in the tail; with memory, network and temperature."""
     law, rng = by_joint(SEVERAL, 5).double(), np.random.default_rng(1)
     bench = robot().observing(law.inputs)
@@ -102,7 +99,7 @@ def test_it_keeps_the_contract_of_all_laws() -> None:
     fz.check_model(by_joint(SEVERAL, 5))
 
 
-def test_each_law_begins_with_what_a_robots_file_says(dog: Callable[..., fz.Robot]) -> None:  # noqa: F811
+def test_each_law_begins_with_what_a_robots_file_says(dog: Callable[..., fz.Robot]) -> None:
     bench, law = dog(), by_joint({".*_calf_joint": "stribeck", "left.*": "lugre", ".*": "mujoco_default"}, 4)
     law.bind(bench.joints)
     law.begin(bench.initial_friction(law.params))

@@ -1,9 +1,10 @@
 """The order of the package: a room imports only from the rooms above it, and no imports go in a circle."""
 
 import ast
-from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+
+from helpers.imports import imports
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 ROOMS = ["core", "data", "models", "bench", "diagnostics", "simulation", "fit", "result", "identification"]
@@ -28,15 +29,6 @@ def room(file: str) -> str:
     """Room of a file; a file outside the rooms, and `python -m` of one, are commands."""
     first = file.partition(".")[0]
     return first if first in ROOMS and not file.endswith(".__main__") else "cli"
-
-
-def imports(source: str) -> Iterator[str]:
-    """Dotted names of all modules that a file imports, wherever in it."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield from (f"{'.' * node.level}{node.module or ''}.{alias.name}" for alias in node.names)
 
 
 def mistakes(file: str, source: str) -> list[str]:

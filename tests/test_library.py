@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import ROOT
-from test_torch_only import TorchConstraint, TorchStribeck
+from helpers.torch_laws import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
 from frictionzoo.bench.base import DEFAULTS

@@ -11,16 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import spoil
+from helpers.known_drive import TRUTH, bowl, identified, noisy, pose, record, run
 from scipy.optimize._lsq.least_squares import IMPLEMENTED_LOSSES
-from test_fit import TRUTH, bowl, identified, pose, record, run, x64  # noqa: F401 - x64 is a fixture for all tests
 
 from frictionzoo.core.errors import ConfigError, FitError
-from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loss import ROBUST, Loss, bend, soft_width
 from frictionzoo.fit.normal_equations import NormalEquations, compress
+
+pytestmark = pytest.mark.usefixtures("x64")
 
 LM = LevenbergMarquardt(100, 1e-12)
 ADAM = ("fit=adam", "fit.iterations=5", "fit.learning_rate=1e-3")
@@ -30,13 +31,6 @@ def assert_recovered(values: Any, tolerance: float) -> None:
     found = identified(values)
     for name, value in TRUTH.items():
         assert found[name] == pytest.approx(value, rel=tolerance), name
-
-
-def noisy(segments: Segments, position: float, velocity: float) -> Segments:
-    rng = np.random.default_rng(3)
-    qpos = segments.qpos + position * rng.normal(size=segments.qpos.shape)
-    qvel = segments.qvel + velocity * rng.normal(size=segments.qvel.shape)
-    return Segments(qpos, qvel, segments.signals, segments.timestep)
 
 
 def test_a_known_drive_is_found_in_a_few_iterations(tmp_path: Path) -> None:

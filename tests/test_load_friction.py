@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from helpers.bam import M5, options, write_logs
 from omegaconf import OmegaConf
-from test_bam import M5, options, write, write_logs  # noqa: F401 - write is a fixture
 
 from frictionzoo.bench.read_bam import read_bam
 from frictionzoo.core.log import Log, Payload
@@ -100,14 +100,14 @@ def test_a_law_is_found_again(make: Callable[..., Any], name: str) -> None:
 def test_load_friction_of_bams_own_equations_is_identified(
     compose: Callable[..., Any],
     pose_problem: Callable[[Any], Problem],
-    write: Callable[..., Path],  # noqa: F811
+    write_bam_file: Callable[..., Path],
     tmp_path: Path,
 ) -> None:
     """What acts in motion. MuJoCo's constraint is soft where BAM's joint sticks, and shifts what acts at rest alone."""
     (logs := tmp_path / "logs").mkdir()
     write_logs(logs, M5, seconds=4.0)
     start = "{{init:{},low:1e-3,high:2,scale:log,identify:true}}".format
-    file = write(M5)
+    file = write_bam_file(M5)
     friction = read_bam(file).friction
     free = {"bench.params.armature": 0.01} | {f"model.params.{name}": 1.5 * value for name, value in friction.items()}
     free.pop("model.params.stribeck_exponent")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import ROOT, check_each
+from helpers.laws import friction
 from omegaconf import OmegaConf
 
 from frictionzoo.bench.base import DEFAULTS
@@ -151,16 +152,6 @@ def check_opposes(name, bench):
     rest = model.terms(torch, values, drive._replace(qvel=torch.zeros_like(drive.qvel)))
     if rest.torque is not None:
         assert (rest.torque.abs() <= (0.0 if rest.frictionloss is None else rest.frictionloss)).all()
-
-
-def friction(
-    model: FrictionModel, qvel: list[float], motor: float = 0.0, external: float = 0.0, **values: float
-) -> FrictionTerms:
-    """The law at these speeds under these torques."""
-    given = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
-    speeds = torch.tensor(qvel, dtype=torch.float64)[:, None]
-    zero, ones = torch.zeros_like(speeds), torch.ones_like(speeds)
-    return model.terms(torch, given, DriveState(zero, speeds, zero, motor * ones, external * ones))
 
 
 def test_baseline_has_no_friction():

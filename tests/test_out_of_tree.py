@@ -19,7 +19,7 @@ from helpers.pages import PACKAGE, ROOT, blocks_of
 from frictionzoo.core.config import list_choices
 from frictionzoo.models import model_names
 
-INSTALL, CHECK, RUN, COMPARE, TORCH = COMMANDS = blocks_of(PACKAGE / "README.md")
+INSTALL, CHECK, RUN, COMPARE, TORCH = blocks_of(PACKAGE / "README.md")
 PARAMETERS = {
     "stribeck_torque": "N m",
     "stribeck_rise": "s/rad",

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import slow_but
+from helpers.engine_cases import BODIES, KNOWN, chain, law, random_cases, step_of
 from omegaconf import DictConfig, OmegaConf
-from test_specialised import BODIES, KNOWN, chain, law, random_cases, step_of
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import NO_PAYLOAD

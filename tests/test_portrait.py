@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from test_residuals import ARMATURE, DRY, STEP, VISCOUS, leave, plain, record
+from helpers.rod import ARMATURE, DRY, STEP, VISCOUS, leave, plain, record
 
 import frictionzoo as fz
 from frictionzoo.core.state import DriveState

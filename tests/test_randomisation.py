@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 import torch
 from conftest import Finished, changed
+from helpers.fitted import fit as fit_robot
 from helpers.robot_texts import LEG, save
-from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
 from frictionzoo.api.identified import Identified

@@ -1,6 +1,5 @@
 """What the documentation tells a newcomer to type: commands compose, options exist, pages agree with their source."""
 
-import functools
 import itertools
 import re
 import runpy
@@ -9,16 +8,15 @@ import subprocess
 
 import pytest
 from conftest import check_each, pytest_runtest_setup
-from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
-from hydra.core.override_parser.overrides_parser import OverridesParser
+from helpers.composing import assert_composes
+from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of
 from omegaconf import OmegaConf
 
 from frictionzoo.cli.commands import COMMANDS
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_choices, list_options
+from frictionzoo.core.config import CONF_DIR, list_choices, list_options
 from frictionzoo.core.declared import section_of
 from frictionzoo.models import get_model, model_names
 
-FLAGS = {"-m", "--cfg", "job", "--help"}
 # Not jobs: other commands, completion of a shell's lines, and what a reader has to fill in, such as FOLDER.
 START, OTHER = r"(?:python -m frictionzoo\.run|frictionzoo) ", re.compile(rf"({'|'.join(COMMANDS)}|-sc)\b|.*[A-Z]{{3}}")
 JOBS = {
@@ -29,28 +27,6 @@ JOBS = {
     for job in map(re.compile(rf"{START}(.+)").fullmatch, map(str.strip, command.split("&&")))
     if job and not OTHER.match(job[1])
 }
-compose_once = functools.cache(compose_config)  # pages share most of what they choose; nothing here changes it
-
-
-def is_choice(override):
-    """Whether it chooses a file, or tells Hydra itself something: that has to be composed."""
-    name = override.partition("=")[0]
-    return name.startswith("hydra") or (CONF_DIR / name).is_dir()
-
-
-def assert_composes(job):
-    """Every job that these arguments of a run stand for."""
-    choices = [expand(argument) for argument in job if argument not in FLAGS]
-    for values in filter(lambda values: is_choice(values[0]) and len(values) > 1, choices):
-        assert all(name in list_choices(group) for group, name in (value.split("=") for value in values))
-        del values[1:]  # tests/test_config.py composes every file, and experiments with the laws that change them
-    for index in range(max(map(len, choices), default=1)):
-        overrides = [values[index % len(values)] for values in choices]
-        plain = compose_once(*filter(is_choice, overrides))
-        config = OmegaConf.create(OmegaConf.to_container(plain))
-        for override in map(OverridesParser.create().parse_override, itertools.filterfalse(is_choice, overrides)):
-            OmegaConf.update(config, override.key_or_group, override.value(), force_add=True)
-        check_overrides(config, plain)
 
 
 def test_a_command_composes():

@@ -24,7 +24,7 @@ from frictionzoo.result.section_types import Command
 from frictionzoo.result.verdict import DO_NOT_USE, is_usable, judge
 
 KP, KD = 20 * 0.151, 0.151  # N m/rad, N m s/rad
-HARDWARE = ("frictionzoo.export", ".export(", "frictionzoo.design", "excite(")
+HARDWARE = ("frictionzoo.export", ".export(", "frictionzoo.design", "design_recording(")
 COMMANDS = {
     "repair": "python -m frictionzoo.run bench.actuator.params.kp.init=3",
     "inspect": "python -m frictionzoo.inspect",

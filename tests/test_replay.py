@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import changed
 from helpers.browser import needs_browser, open_page, read_data
-from test_report import bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
+from helpers.results import curves_of, make_rollout, of_joints
 
 from frictionzoo.bench import Bench, PositionPD, Robot
 from frictionzoo.core.log import Payload
@@ -66,7 +66,7 @@ def values_of(own, **values):
     return own.initial_values() | values
 
 
-def show(tmp_path, result, own, values, rollout):  # noqa: F811
+def show(tmp_path, result, own, values, rollout):
     """The page of a run with this replay, in a browser."""
     courses = {name: np.ones((3, own.nv)) for name in ("bench.armature", "friction.static_torque")}
     finished = changed(result, fit={"stopped": "finished", "moving": []})
@@ -79,7 +79,7 @@ def show(tmp_path, result, own, values, rollout):  # noqa: F811
 @needs_browser
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hinge", "slide"])
-def test_bodies_are_where_mujoco_has_them(tmp_path, result, kind):  # noqa: F811
+def test_bodies_are_where_mujoco_has_them(tmp_path, result, kind):
     """Also with an encoder's offset, with several joints of one body, and joints away from the body's origin."""
     own, rollout = three_joints(tmp_path, kind), move()
     values = values_of(own, position_offset=OFFSET)
@@ -201,7 +201,7 @@ def test_a_robot_is_drawn_with_the_shapes_of_its_file(tmp_path):
 
 @needs_browser
 @pytest.mark.slow
-def test_a_mesh_is_seen(tmp_path, result):  # noqa: F811
+def test_a_mesh_is_seen(tmp_path, result):
     write_mesh(tmp_path)
     own = stand(tmp_path, MESH.replace('type="box" size="0.1 0.1 0.1"', 'type="sphere" size="0.001"'), "knee", Robot)
     browser, _ = show(tmp_path, result, own, values_of(own), move(1))
@@ -289,7 +289,7 @@ def test_the_replay_is_drawn_and_goes_along_the_curves(finished_run, width, sche
 
 
 @needs_browser
-def test_a_rollout_without_figures_of_its_own_gets_some_when_it_is_chosen(tmp_path, result):  # noqa: F811
+def test_a_rollout_without_figures_of_its_own_gets_some_when_it_is_chosen(tmp_path, result):
     own, rollout = three_joints(tmp_path, "hinge"), move(rollouts=4)
     browser, recorded = show(tmp_path, result, own, values_of(own), rollout)
     before, shown, title, error, again = browser.run(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.robots import JOINTS, TRUTH, arm
-from test_inverse_dynamics import STEP, log_of, move, needed
+from helpers.torque_logs import STEP, log_of, move, needed
 
 from frictionzoo.bench import Bench, Force, JointPD
 from frictionzoo.core.errors import ConfigError

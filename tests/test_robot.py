@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 import torch
+from helpers.legged import JOINTS, position
 
 import frictionzoo as fz
 from frictionzoo.core.errors import BenchError, ConfigError
@@ -16,41 +17,8 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.diagnostics.dataset import check_motion
 from frictionzoo.models.mujoco_default import MujocoDefault
 
-LEG = """<body name="{0}_hip" pos="0 {1} 0"><joint name="{0}_hip_joint" class="leg" axis="1 0 0" range="-1 1"/>
-  <inertial pos="0 0 -0.02" mass="0.5" diaginertia="0.002 0.002 0.001"/><geom type="mesh" mesh="hip"/>
-  <body name="{0}_calf" pos="0 0 -0.2"><joint name="{0}_calf_joint" class="leg" axis="0 1 0" armature="0.03"/>
-    <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0001"/><geom size="0.02" pos="0 0 -0.2"/></body>
-</body>"""
-DOG = """<mujoco><compiler angle="radian"/><option timestep="0.002"/>
-  <default><default class="leg"><joint armature="0.02" damping="0.1" frictionloss="0.2"/></default></default>
-  <asset><mesh name="hip" file="hip.obj"/></asset>
-  <worldbody><body name="trunk" pos="0 0 1"><freejoint/><inertial pos="0 0 0" mass="5" diaginertia="0.1 0.1 0.1"/>
-  {left}{right}<body name="head"><joint name="neck" axis="0 0 1"/>
-  <inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>
-  <actuator>{actuators}</actuator></mujoco>"""
-JOINTS = ("left_hip_joint", "left_calf_joint", "right_hip_joint", "right_calf_joint")
-POSITION = '<position name="{0}" joint="{0}" kp="{1}" kv="{2}" forcerange="-9 9"/>'
-GAINS = {"hip": (20, 0.5), "calf": (40, 1.0)}
 TRUTH = {"armature": [0.01, 0.03] * 2, "frictionloss": [0.1, 0.3] * 2, "damping": [0.05, 0.15] * 2}
 FREE = {"low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
-
-
-def position(name: str) -> str:
-    return POSITION.format(name, *GAINS[name.split("_")[1]])
-
-
-@pytest.fixture(scope="module")
-def dog(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., fz.Robot]:
-    """A dog with two legs and a head, its meshes missing, from how an actuator is written and arguments of `Robot`."""
-    folder = tmp_path_factory.mktemp("dog")
-
-    def dog(write: Callable[[str], str] = position, joint: Any = ".*_(hip|calf)_joint", **more: Any) -> fz.Robot:
-        path = folder / f"{abs(hash(write(JOINTS[0])))}.xml"
-        legs = {"left": LEG.format("left", 0.1), "right": LEG.format("right", -0.1)}
-        path.write_text(DOG.format(**legs, actuators="".join(map(write, JOINTS))))
-        return fz.Robot(str(path), joint, **more)
-
-    return dog
 
 
 def test_what_the_file_says_is_known_or_where_the_fit_begins(dog: Callable[..., fz.Robot]) -> None:

@@ -9,43 +9,22 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.servo import INTERVAL, PAYLOAD, record, wander
 
 from frictionzoo.bench import Bench, DcMotorPD
 from frictionzoo.core.errors import BenchError, ConfigError
-from frictionzoo.core.log import Log, Payload
+from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Sampling, cut_segments
 from frictionzoo.core.state import Signals
 from frictionzoo.result.evaluate import predict
 from frictionzoo.simulation import friction_of, make_engine
 from frictionzoo.simulation.rollout import applied, make_rollout
 
-INTERVAL = 0.01
-PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-3, 1e-3, 1e-3))
-
 
 @pytest.fixture(autouse=True)
 def x64() -> Iterator[None]:
     with jax.enable_x64(True):
         yield
-
-
-def record(command: np.ndarray, **extras: float) -> Log:
-    """A log with this command, of a drive that stands still."""
-    samples = len(command)
-    still = np.zeros((samples, 1))
-    inputs = {"gain": 16.0, "supply": 12.0, "enable": 1.0} | extras
-    columns = {name: np.full((samples, 1), value) for name, value in inputs.items()}
-    return Log(
-        "servo", INTERVAL * np.arange(samples), still, still, command[:, None], "", True, PAYLOAD, extras=columns
-    )
-
-
-def wander(samples: int, seed: int) -> np.ndarray:
-    """A command of steps and sines."""
-    rng = np.random.default_rng(seed)
-    time = INTERVAL * np.arange(samples)
-    steps = np.repeat(rng.uniform(-0.6, 0.6, size=samples // 50 + 1), 50)[:samples]
-    return steps + 0.4 * np.sin(2 * np.pi * rng.uniform(0.5, 2) * time + rng.uniform(0, 6))
 
 
 def held(command: np.ndarray, start: float, stop: float) -> float:

@@ -7,8 +7,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.known_drive import Problem, pose, record
 from omegaconf import OmegaConf
-from test_fit import Problem, pose, record, x64  # noqa: F401 - x64 is a fixture for all tests
 
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import Segments
@@ -21,6 +21,9 @@ from frictionzoo.fit.several import _is_near
 from frictionzoo.fit.space import Box
 from frictionzoo.models import model_names
 from frictionzoo.models.registry import get_model
+
+pytestmark = pytest.mark.usefixtures("x64")
+
 
 LM, SEVERAL = LevenbergMarquardt(60, 1e-9), Several(60, 1e-9)
 CONTAINING = [name for name in model_names() if get_model(name).contains]

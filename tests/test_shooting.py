@@ -1,6 +1,5 @@
 """Segments that hold together: their equations against dense ones, and an arm that torque drives, with known truth."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -8,24 +7,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from test_fit import x64  # noqa: F401 - a fixture for all tests
-from test_start import ARM, TRUTH, swing
+from helpers.driven_arm import ARM, TRUTH, Shot, shoot, swing
 
 from frictionzoo.bench import Bench, Force
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Log
-from frictionzoo.core.segments import Segments, cut_segments
-from frictionzoo.fit import LevenbergMarquardt, Objective, Space
+from frictionzoo.core.segments import cut_segments
+from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loss import Loss
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.shooting import Mixed, solve_chain
-from frictionzoo.models.registry import get_model
-from frictionzoo.simulation.drive import Drive
 
-SECTION = {"init": 0.5, "low": 1e-2, "high": 10.0, "scale": "log", "identify": True}
-WEIGHTS = {"position": 1e4, "velocity": 10.0, "refine": True}
+pytestmark = pytest.mark.usefixtures("x64")
+
 CONTINUITY = 30.0
 
 
@@ -83,23 +79,6 @@ def test_a_forgotten_velocity_takes_nothing_but_what_its_position_takes(bench: B
     for own, by_own in zip(slopes[:, 0].swapaxes(0, 1), by_state[:2, 0].swapaxes(0, 1), strict=True):
         expected += own @ by_own.T @ np.linalg.solve(by_own @ by_own.T, by_own @ own.T)
     np.testing.assert_allclose(taken, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
-
-
-@dataclass
-class Shot:
-    """An objective on two recordings of the arm."""
-
-    objective: Objective
-    segments: Segments
-
-
-def shoot(bench: Bench, law: str, length: int, *logs: Log, **loss: Any) -> Shot:
-    """Segments of these recordings, one after the other."""
-    model = get_model(law)(2, {name: SECTION for name in get_model(law).dimensions})
-    sampling = bench.sampling(logs[0].timestep)
-    segments = cut_segments([bench.accept(log) for log in logs], None, length, sampling.history)
-    rollout = Drive.assemble(bench, model, "auto", sampling).rollout
-    return Shot(Objective(Space(bench, model, "float64"), rollout, segments, **WEIGHTS | loss), segments)
 
 
 def root_mean_squares(shot: Shot) -> np.ndarray:

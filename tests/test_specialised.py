@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import slow_but
+from helpers.engine_cases import BODIES, KNOWN, chain, law, random_cases, step_of
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import can_collide
@@ -21,22 +22,12 @@ from frictionzoo.simulation.fold import CannotSpecialiseError, specialise
 from frictionzoo.simulation.linear import rows_of
 from frictionzoo.simulation.rollout import make_rollout
 
-KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
-BODIES = {
-    "hinge with gravity": '<joint name="j0" axis="0 1 0"/>'
-    '<inertial pos="0 0 -0.11" mass="0.26" diaginertia="0.0011 0.0011 0.0001"/>',
-    "slide without": '<joint name="j0" type="slide" axis="1 0 0"/>'
-    '<inertial pos="0 0.1 0" mass="3" diaginertia="1 1 1"/>',
-    "inclined axis, off-axis mass": '<joint name="j0" axis="1 2 0.5" pos="0.01 0.02 0"/>'
-    '<inertial pos="0.05 -0.03 -0.1" quat="1 0.2 0.1 0" mass="0.4" diaginertia="0.002 0.003 0.004"/>',
-}
 INTEGRATORS = {
     "Euler": ('integrator="Euler"', ""),
     "Euler, explicit damping": ('integrator="Euler"', '<flag eulerdamp="disable"/>'),
     "implicitfast": ('integrator="implicitfast"', ""),
     "implicitfast, no damper": ('integrator="implicitfast"', '<flag damper="disable"/>'),
 }
-AXES = ("0 1 0", "1 0 0", "0 0 1")
 
 
 @pytest.fixture(autouse=True)
@@ -56,50 +47,6 @@ def make_bench(tmp_path: Path, body: str, integrator: str = "Euler", joints: int
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
     names = [f"j{index}" for index in range(joints)]
     return Bench(str(path), names, actuator=actuator, params={"armature": {"init": 0.02, **KNOWN}})
-
-
-def chain(joints: int) -> str:
-    """Hinges about changing axes, each on the body before it."""
-    body = ""
-    for index in reversed(range(joints)):
-        body = (
-            f'<body pos="0 0 -0.2"><joint name="j{index}" axis="{AXES[index % 3]}"/>'
-            f'<inertial pos="0.01 0.02 -0.11" mass="0.26" diaginertia="0.0011 0.0012 0.0004"/>{body}</body>'
-        )
-    return body
-
-
-def random_cases(count: int, nv: int, seed: int = 0) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    shape = (count, nv)
-    return {
-        "qpos": rng.normal(size=shape),
-        # Half of them slow enough for the constraint to stick.
-        "qvel": rng.normal(size=shape) * np.where(np.arange(count) % 2, 1.0, 1e-3)[:, None],
-        "ctrl": rng.normal(size=shape),
-        "armature": rng.uniform(0.005, 0.3, shape),
-        "frictionloss": rng.uniform(0.01, 3.0, shape),
-        "damping": rng.uniform(0.0, 2.0, shape),
-        "torque": rng.normal(size=shape),
-    }
-
-
-def law(constraint: bool) -> Any:
-    def friction(values: dict[str, Any], state: Any) -> FrictionTerms:
-        return FrictionTerms(values["torque"], values["frictionloss"] if constraint else None, values["damping"])
-
-    return without_memory(friction)
-
-
-def step_of(engine: Any, bench: Bench) -> Any:
-    known = {name: jnp.asarray(value) for name, value in bench.initial_values().items()}
-
-    def step(case: dict[str, Any]) -> jax.Array:
-        values = {"bench": known | {"armature": case["armature"]}, "friction": case}
-        load, memory = case.get("load", jnp.zeros(0)), jnp.zeros((bench.nv, 0))
-        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], Signals(case["ctrl"]), load, memory)[:2])
-
-    return step
 
 
 def steps_in_c(bench: Bench, cases: dict[str, np.ndarray], constraint: bool) -> np.ndarray:

@@ -4,54 +4,24 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
+from helpers.driven_arm import ARM, TRUTH, swing
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench, Force
 from frictionzoo.core.build import build
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FitError
-from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.log import Dataset
 from frictionzoo.fit import Adam, Auto, Fit, InverseDynamics, LevenbergMarquardt
 from frictionzoo.fit.base import as_start
 from frictionzoo.fit.start import begin_where
 from frictionzoo.identification import Parts, Problem
 from frictionzoo.simulation.context import computing
 
-STEP = 0.002  # s
-TRUTH = {"armature": [0.3, 0.1], "frictionloss": [1.5, 0.6], "damping": [0.8, 0.3]}
 MASS = 1.2  # kg, of the forearm; the file says 1
-ARM = f"""<mujoco><option timestep="{STEP}"><flag contact="disable"/></option><worldbody>
-  <body name="upper"><joint name="shoulder" axis="0 1 0"/>
-    <inertial pos="0 0 -0.15" mass="2" diaginertia="0.02 0.02 0.002"/>
-    <body name="fore" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/>
-      <inertial pos="0.02 0 -0.12" mass="1" diaginertia="0.006 0.006 .001"/></body></body></worldbody></mujoco>"""
 SHORT = {"horizons": [0.1], "rollouts": 2, "places": 1, "trajectory": 0.1, "window": 0.02, "local": 0.1}
-
-
-def swing(seconds: float, seed: int = 0, mass: float = 1.0) -> Log:
-    """A recording by MuJoCo C of torques and states without noise, under a controller that nobody knows."""
-    spec = mujoco.MjSpec.from_string(ARM)
-    for index, joint in enumerate(spec.joints):
-        joint.armature, joint.frictionloss = TRUTH["armature"][index], TRUTH["frictionloss"][index]
-        joint.damping = [TRUTH["damping"][index], 0, 0]
-    fore = spec.body("fore")
-    fore.mass = mass
-    fore.inertia = mass * fore.inertia
-    model = spec.compile()
-    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
-    time = np.arange(0, seconds, STEP)
-    rate, phase = 2 * np.pi * rng.uniform(0.2, 1.5, (5, 2)), rng.uniform(0, 6, (5, 2))
-    desired = (1.5 / rate * np.sin(rate * time[:, None, None] + phase)).sum(axis=1)
-    qpos, qvel, torques = (np.empty((len(time), 2)) for _ in range(3))
-    data.qpos[:] = desired[0]
-    for sample, wish in enumerate(desired):
-        qpos[sample], qvel[sample] = data.qpos, data.qvel
-        torques[sample] = data.qfrc_applied[:] = 300 * (wish - data.qpos) - 20 * data.qvel
-        mujoco.mj_step(model, data)
-    return Log(f"swing{seed}", time, qpos, qvel, torques, "hash", True)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from conftest import RUNS, changed, make_run
+from conftest import LAUNCHERS, RUNS, changed, make_run
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
@@ -30,7 +30,6 @@ from frictionzoo.result.verdict import DO_NOT_USE
 ROOT = Path(__file__).parent.parent
 SWEEP = ("-m", "hydra.sweep.dir=sweep")
 pytestmark = pytest.mark.usefixtures("in_haste")
-LAUNCHERS = ("joblib", "submitit_local", "ray")
 DONE = changed(make_run(0, "baseline").result, metrics={"train": {"position_mae": 0.25, "diverged": 0}})
 
 

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,12 +45,6 @@ TWO_JOINTS = """<mujoco><option timestep="0.001"/><worldbody>
   <body><geom size="0.1" mass="1" contype="0"/><joint name="a" axis="0 1 0"/>
     <body pos="0 0 -0.3"><geom size="0.1" mass="1" contype="0"/><joint name="b" axis="0 1 0"/></body></body>
 </worldbody></mujoco>"""
-
-
-@pytest.fixture
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def coefficients(name: str, temperature: float) -> tuple[float, float]:

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import torch
 from conftest import Finished
+from helpers.torch_laws import STRIBECK, TorchConstraint, TorchStribeck
 
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench
@@ -24,47 +24,13 @@ from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.fit.loop import Record
-from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, register_model
+from frictionzoo.models import FrictionModel, TorchFriction, register_model
 from frictionzoo.models.contract import check_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.result.curves import read_curves
 from frictionzoo.simulation.drive import Drive
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
-DRY = {"dry": {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}}
-STRIBECK = "test_torch_only.TorchStribeck"
-
-
-class TorchStribeck(TorchFriction):
-    """`coulomb_stribeck`, written again in torch alone."""
-
-    dimensions = CoulombStribeck.dimensions
-    dissipative = True
-
-    def forward(self, state: DriveState) -> FrictionTerms:
-        share = torch.exp(-((state.qvel / self.stribeck_velocity) ** 2))
-        dry = torch.lerp(self.kinetic_torque.expand_as(share), self.static_torque.expand_as(share), share)
-        sign = (state.qvel / self.smoothing_velocity).tanh_()
-        return FrictionTerms(torque=torch.addcmul(dry * sign, self.viscous_coefficient, state.qvel))
-
-
-class TorchConstraint(TorchFriction):
-    """MuJoCo's own friction, and a network of parts that JAX does not have beside it."""
-
-    dimensions = {"dry": "torque"}
-    constraint = True
-
-    def __init__(self, nv: int = 1) -> None:
-        super().__init__(nv, DRY)
-        torch.manual_seed(0)
-        self.network = torch.nn.Sequential(
-            *(torch.nn.Linear(3, 4), torch.nn.LayerNorm(4), torch.nn.GELU(), torch.nn.Linear(4, 1))
-        )
-        self.register_buffer("updates", torch.zeros((), dtype=torch.int64))  # a number that is no floating-point one
-
-    def forward(self, state: DriveState) -> FrictionTerms:
-        seen = torch.stack([state.qpos, state.qvel, state.ctrl], dim=-1)
-        return FrictionTerms(torque=0.1 * self.network(seen)[..., 0], frictionloss=self.dry)
 
 
 class Remembers(TorchConstraint):
@@ -97,12 +63,6 @@ def registered() -> Iterator[None]:
         patch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
         for name, law in LAWS.items():
             register_model(name)(law)
-        yield
-
-
-@pytest.fixture
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
         yield
 
 

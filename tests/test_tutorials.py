@@ -1,8 +1,6 @@
 """The Python of the tutorials and of the page on Python runs as it stands, and finds the drives that it speaks of."""
 
-import re
 import shutil
-import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,41 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import ROOT
 from filelock import FileLock
-from helpers.robots import GAINS, HEADERS, TRUTH, arm, record
+from helpers.robots import TRUTH, record
+from helpers.tutorials import DOCS, ENCODER, LEG, SUBSTEPS, code_of, write_robots
 
 import frictionzoo as fz
-from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.models.registry import REGISTRY
 
-DOCS = ROOT / "docs"
 pytestmark = pytest.mark.usefixtures("in_haste")
 STAND = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><worldbody><body>
 <joint name="shaft" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.3"/>
 </body></worldbody></mujoco>"""
 SHAFT = {"armature": [0.03], "frictionloss": [0.15], "damping": [0.05]}
 SERVO = SHAFT | {"damping": [0.55], "kp": [15.0]}  # kd among its damping
-LEG = {"armature": [0.01, 0.008], "frictionloss": [0.25, 0.15], "damping": [0.05, 0.03]}
-ENCODER = 2e-4, 1e-2  # rad, rad/s: its noise
-SUBSTEPS = 100  # of 20 us: the recipe finds what longer ones do, and steps of 2 ms move friction by a tenth and more
-
-
-def blocks_of(page: str, language: str) -> list[str]:
-    """The code of a page of docs/."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / page).read_text(), re.M | re.S)
-
-
-def write_robots(folder: Path) -> None:
-    """The leg and the arm of the tutorials, and a recording of each."""
-    (leg,) = blocks_of("tutorials/leg.md", "xml")
-    headers = {signal: [f"{signal}_hip", f"{signal}_knee"] for signal in ("qpos", "qvel", "ctrl")}
-    (folder / "robot.xml").write_text(leg)
-    fixed = ET.tostring(read_robot(str(folder / "robot.xml")).root, encoding="unicode")
-    gains = {"kp": [25, 40], "kd": [0.6, 1.0]}
-    record(folder / "leg.csv", fixed, LEG, gains, headers, seconds=20.0, noise=ENCODER, substeps=SUBSTEPS)
-    (folder / "arm.xml").write_text(arm())
-    record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)  # in the steps with which the page identifies it
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +47,7 @@ def follow(recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     def run(page: str, first: int = 0) -> dict[str, Any]:
         names: dict[str, Any] = {"__name__": page}
-        for block in blocks_of(page, "python")[first:]:
+        for block in code_of(page, "python")[first:]:
             exec(compile(block, page, "exec"), names)
         return names
 
@@ -141,4 +117,4 @@ def test_the_page_on_python_identifies_compares_and_defines_a_law(follow: Callab
 def test_every_tutorial_has_code_that_is_run() -> None:
     pages = {path.stem for path in (DOCS / "tutorials").glob("*.md")}
     assert pages == {"servo", "leg", "arm", "law", "randomisation"}
-    assert all(blocks_of(f"tutorials/{page}.md", "python") for page in pages)
+    assert all(code_of(f"tutorials/{page}.md", "python") for page in pages)

@@ -12,10 +12,9 @@ import pytest
 import scipy.signal
 import scipy.stats
 from conftest import slow_but, spoil
-from test_fit import KNOWN, LOSS, TRUTH, Problem, compose_drive, pose, record, x64  # noqa: F401 - x64 is a fixture for all tests
-from test_lm import noisy
-from test_servo import record as record_servo
-from test_servo import wander
+from helpers.known_drive import KNOWN, LOSS, TRUTH, Problem, compose_drive, noisy, pose, record
+from helpers.servo import record as record_servo
+from helpers.servo import wander
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.segments import Segments, cut_segments
@@ -27,6 +26,8 @@ from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.uncertainty import Uncertainty, assess
 from frictionzoo.simulation import friction_of, make_engine
 from frictionzoo.simulation.rollout import Rollout, make_rollout
+
+pytestmark = pytest.mark.usefixtures("x64")
 
 START = np.log([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]])
 FRICTION = ("static_torque", "kinetic_torque", "stribeck_velocity", "viscous_coefficient")

@@ -188,15 +188,15 @@ def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) 
     result = json.loads((folder / "result.json").read_text())
     rows = result["verdict"]["commands"]
     assert [row["kind"] for row in rows] == ["law", "recording", "export"]
-    run, excite, export = (shlex.split(row["command"]) for row in rows)
+    run, design, export = (shlex.split(row["command"]) for row in rows)
     assert run[:3] == ["python", "-m", "frictionzoo.run"] and {*tiny} <= {*run[3:]}
     config = compose_config(*run[3:])
     assert "fit=lm" in run and config.model._target_ != compose_config("model=mujoco_default").model._target_
     chosen = [each for each in run[3:] if each.partition("=")[0] in ("model", "data", "fit")]
     check_overrides(config, compose_config(*chosen))
 
-    assert excite[:3] == ["python", "-m", "frictionzoo.design"]
-    place, *options = parse("design", excite[3:]).options
+    assert design[:3] == ["python", "-m", "frictionzoo.design"]
+    place, *options = parse("design", design[3:]).options
     request = Request.read(read_options(options, ""), Identified.load(Path(folder.parent, place)))
     limits = Limits.read(1, **request.limits)
     assert (limits.low < limits.home).all() and limits.velocity > 0 and limits.torque > 0

@@ -7,7 +7,7 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 from helpers.browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
-from test_html import HOSTILE, Page, judge_targets
+from helpers.html_pages import HOSTILE, Page, judge_targets
 
 from frictionzoo.core.config import compose_settings
 from frictionzoo.design.steps import _list_drive_options
