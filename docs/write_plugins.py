@@ -18,9 +18,9 @@ from frictionzoo.report.text import to_markdown
 DOCS = Path(__file__).parent
 HEAD = """# Plug-ins
 
-<!-- Made from docstrings by `make docs`; change these, not this page. -->
+<!-- Generated from docstrings by `make docs`; edit the docstrings. -->
 
-Everything that can be chosen by name, as `frictionzoo.list` prints it, plug-ins of other packages included:
+Everything that you can choose by name. This command also lists plug-ins of other packages:
 
 ```bash
 python -m frictionzoo.list
@@ -61,7 +61,7 @@ def table_of(plural: str) -> str:
         for found in sorted(kind.own().values())
     ]
     note = f"Entry points of other packages: group `{kind.group}`.\n"
-    return f"{_tabulate(('name', 'chosen by', 'what it is'), rows)}\n{note}"
+    return f"{_tabulate(('name', 'option', 'description'), rows)}\n{note}"
 
 
 def table_of_laws() -> str:

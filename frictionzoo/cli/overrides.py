@@ -61,9 +61,7 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
             continue
         text = str(override.input_line)
         if override.is_delete() or not all(isinstance(name, str) for name in names) or group == "variant":
-            needed = (
-                "expected one name, or to leave it out" if group in _OPTIONAL_GROUPS else f"a job needs one {group}"
-            )
+            needed = "expected one name, or leave it out" if group in _OPTIONAL_GROUPS else f"a job needs one {group}"
             raise ConfigError(f"{text}: {needed}; {closest(text.partition('=')[2], valid_names)}")
         for name in names:
             if name not in valid_names:

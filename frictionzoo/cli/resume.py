@@ -54,7 +54,7 @@ class Begun(NamedTuple):
         """
         path = folder / SETTINGS
         if not path.exists():
-            hint = f"; a sweep goes on with -m hydra.sweep.dir={folder} resume=true" if _holds_jobs(folder) else ""
+            hint = f"; resume a sweep with -m hydra.sweep.dir={folder} resume=true" if _holds_jobs(folder) else ""
             raise ConfigError(f"resume={folder}: no {path}, expected the folder of a run; name one{hint}")
         try:
             refuse_links(folder, files=True)
@@ -114,7 +114,7 @@ def restore_settings(
 
 def _refuse_no_sweep(resume: str, arguments: Sequence[str]) -> None:
     if resume.lower() != "true":
-        expected = "expected true, as a run goes on without -m; name a sweep's folder in hydra.sweep.dir"
+        expected = "expected true; name a sweep's folder in hydra.sweep.dir, or resume a run without -m"
         raise ConfigError(f"resume={resume}: {expected}")
     folder = last_value("hydra.sweep.dir", arguments)
     if not {"-m", "--multirun"} & set(arguments) or folder is None:

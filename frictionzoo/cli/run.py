@@ -88,7 +88,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
     if not goes_on:
         Begun(choices, options, settings).save(folder)
     model = choices["model"]
-    tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
+    tell(f"reading bench and recordings ({model} on {settings['data'].get('name', 'data')})")
     build(settings["data"], Source).find()
     # Imported late: --help and mistakes do not wait, and torch and JAX see the thread limit.
     from frictionzoo.bench.given import Given

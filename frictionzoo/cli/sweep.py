@@ -159,7 +159,7 @@ def _complaint(folder: Path) -> str | None:
         return failure.reason
     fit = read_json(folder / RESULT).get("fit", {})
     if fit.get("stopped") == "diverged":
-        return f"fit diverged after {fit['iterations']} iterations; {RESULT} holds the best before that"
+        return f"fit diverged after {fit['iterations']} iterations; {RESULT} holds the best values before that"
     return None
 
 

@@ -76,8 +76,8 @@ def check_motion(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
         if beyond.any():
             share = f"{100 * beyond.mean():.2g} % of the recorded positions"
             text = f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
-            text += f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero or sign of "
-            text += "the joint differ from the file (data.sign, bench.limits=keep)"
+            text += f"{positions.min():.4g} to {positions.max():.4g}: the joint may have hit a stop, or its zero or "
+            text += "sign differs from the file (data.sign, bench.limits=keep)"
             yield Finding("caution", "limits", text, joint=joint)
     model = bench.compile(constraint=False)
     limited = model.jnt_limited.any() or model.tendon_limited.any()

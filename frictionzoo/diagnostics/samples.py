@@ -154,7 +154,7 @@ def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[Finding]:
     if span <= TURNS * math.tau and not (inside and counts):
         return
     why = ["its encoder step divides 360"] if counts else []
-    why += ["only as degrees it is within the joint's limits"] if inside else []
+    why += ["it is within the joint's limits only if in degrees"] if inside else []
     text = f"qpos{of} spans {span / math.tau:.3g} turns{'; ' + ', '.join(why) if why else ''}: it looks like degrees; "
     text += "set data.units.qpos=deg (also for qvel and a desired position), or, if measured before a gear, the gear "
     text += "ratio, as in data.units.qpos=0.02"

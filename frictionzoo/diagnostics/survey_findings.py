@@ -41,7 +41,7 @@ def list_findings(survey: Mapping[str, Any]) -> Iterator[Finding]:
     enabled = survey["enabled"]
     if enabled is not None and enabled["low"] < 1:
         text = f"The drive is off for up to {100 * (1 - enabled['low']):.0f} % of a recording: the bench's actuator "
-        yield Finding("note", "Drive off", f"{text}model needs an input named enable.")
+        yield Finding("note", "Drive off", f"{text}needs the input enable.")
 
 
 def _check_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Finding]:
@@ -56,7 +56,7 @@ def _check_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterato
 
 def _check_origin(data: Mapping[str, Any]) -> Finding:
     if data["origin"] == "simulated":
-        return Finding("note", "Simulated data", "A simulator made the data: they show nothing about hardware.")
+        return Finding("note", "Simulated data", "The data are simulated: they show nothing about hardware.")
     if data["origin"] == "hardware":
         return Finding("good", "Hardware data", "Recorded on hardware, according to data.origin.")
     text = "Your recordings. data.origin does not state whether they come from hardware."
@@ -140,7 +140,7 @@ def _check_delay(delay: Mapping[str, Any] | None) -> Finding:
         text = f"The delay of the {delay['command']} command is not distinguishable from 0 (estimate {middle:.2g} ms)."
         return Finding("good", "Command", text)
     text = f"The {delay['command']} command acts about {middle:.0f} ms late (half of {delay['estimates']} estimates "
-    text += f"between {low:.0f} and {high:.0f} ms). Identify it: give the bench the parameter delay."
+    text += f"between {low:.0f} and {high:.0f} ms). Identify it: bench.params.delay.identify=true."
     return Finding("caution", "Command", text, "bench.params.delay=...")
 
 

@@ -149,4 +149,4 @@ def _read_defaults(name: str, settings: Mapping[str, Any]) -> dict[str, float]:
 
 def _choose(option: str, param: Param, high: float) -> Choice:
     over = {"damping": " over the speed", "inertia": " over the acceleration"}.get(param.dimension, "")
-    return Choice(f"{option}.high", high, f"twice the torque{over}; default {param.high:g}")
+    return Choice(f"{option}.high", high, f"twice the torque{over} in the recordings; default {param.high:g}")

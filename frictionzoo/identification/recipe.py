@@ -199,7 +199,7 @@ class Parts:
         except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError):
             fits = False
         if not fits:
-            _log.info("%s: damaged, or for other options or data; automatic settings are chosen again", path)
+            _log.info("%s: damaged, or from other options or data; choosing automatic settings again", path)
             return None
         settings, start = copy.deepcopy(dict(self.settings)), None
         for option, value in stored["options"].items():
@@ -261,7 +261,8 @@ def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float)
     if timestep not in (None, AUTO) or bench.fits(interval):
         return bench, settings
     step = interval / math.ceil(steps)
-    _log.info("%s: steps of %g s, not %g s: samples are %g s apart", bench.source, step, bench.timestep, interval)
+    text = "%s: timestep %g s instead of %g s, to divide the sample interval of %g s"
+    _log.info(text, bench.source, step, bench.timestep, interval)
     if timestep is None:
         settings = {**settings, "bench": {**settings["bench"], "timestep": step}}
     return remake(bench, timestep=step), settings

@@ -66,7 +66,7 @@ def solve(
     _log.info("engine %s, matches MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note and f": {note}")
     if problem.objective.devices > 1:
         _log.info("segments run on %d devices", problem.objective.devices)
-    _log.info("%s: training on %d segments of %d steps", problem.dataset.name, segments.count, segments.length)
+    _log.info("%s: training on %d segments of %d samples", problem.dataset.name, segments.count, segments.length)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
     if problem.settings["loop"].get("progress", True):

@@ -99,7 +99,7 @@ class Stages(Trials):
         growth = pilot.growth(self._found)
         stable = int(np.argmax(growth > _GROWTH)) if (growth > _GROWTH).any() else longest
         length = max(min(FEWEST, longest), stable)
-        reason = f"an initial velocity error moves the position {growth[length - 1]:.2g} times as far as without forces"
+        reason = f"forces scale the position error from an initial velocity error by {growth[length - 1]:.2g}"
         self._choose("segments.length", length, f"{length * self._interval:.3g} s, within which {reason}")
 
     def _choose_loss(self) -> None:
@@ -182,7 +182,7 @@ class Stages(Trials):
             return
         reason = "rounding explains the residual: errors within half an encoder step do not count"
         self._choose("loss.encoder_step", step, reason)
-        reason = f"reduced: beyond half an encoder step, position errors count like noise of {soft_width(step):.2g} "
+        reason = f"reduced: position errors beyond half an encoder step weigh like noise of {soft_width(step):.2g} "
         self._choose("loss.velocity", self._velocity_beside_rounding(), f"{reason}{self._unit}")
 
     def _choose_free(self) -> None:
@@ -278,7 +278,8 @@ class Stages(Trials):
             largest = float(changes.max(initial=0.0))
             label = self._found.labels[int(changes.argmax())]
             share = {1: "half", 2: "a quarter"}.get(halvings, f"1/{2**halvings}")
-            reason = f"with {share} of it, {label} would change by {largest:.2g} of half its interval or of 0.3 %"
+            reason = f"at {share} of this timestep, {label} would change by {largest:.2g} of half its interval, "
+            reason += "or of 0.3 % if that is larger"
             if largest <= _MOVES or bench.timestep < self._first_step / 2**_ROUNDS:
                 break
             self._change(timestep=bench.timestep)

@@ -141,8 +141,8 @@ def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
         used.append((row["quantity"], *joint, *reached, f"{low:.4g} to {high:.4g}", row["unit"], share))
     return "\n\n".join(
         [
-            f"{command['seconds']:g} s at {command['rate']:g} samples/s, soft within {command['ramp']:g} s at both "
-            f"ends.\nExpected of a fit of segments of {note['fit']['length']} samples, with an encoder step of "
+            f"{command['seconds']:g} s at {command['rate']:g} samples/s, soft start and stop of {command['ramp']:g} s."
+            f"\nPrediction for a fit with segments of {note['fit']['length']} samples, an encoder step of "
             f"{noise['quantum']:.3g},\nposition noise of {noise['position_noise']:.3g} and velocity noise of "
             f"{noise['velocity_noise']:.3g}:",
             align(rows),

@@ -215,7 +215,7 @@ def _doubt_residual(residual: types.Residual) -> Iterator[types.ResultFinding]:
             where = f" of {row.joint}" if len(rows) > 1 else ""
             yield _find(
                 "residual",
-                f"the residual torque{where} exceeds noise by {say_percent(share)} of the friction (neighbours in time "
+                f"the residual torque{where} exceeds noise by {say_percent(share)} of the friction (consecutive values "
                 f"correlate by {row.correlation:.2f}), and no residual factor explains it",
                 "check the known values (gains, inertia, delay) and elasticity between motor and joint",
                 severe=share > CONTRADICTED,

@@ -15,7 +15,7 @@ MEMBERS = {".json": "bam", ".csv": "csv"}
 
 @register_format("zip")
 class Archive(Format):
-    """Zip archive with one table a member: BAM logs in JSON, or CSV files if there are none."""
+    """Zip archive with one table per member: BAM logs in JSON, or CSV files if there are none."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".zip",)
     magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)

@@ -13,7 +13,7 @@ from frictionzoo.data.recording import Table
 
 @register_format("bam")
 class Bam(Format):
-    """BAM log, one table a JSON file; the entries become columns, the header becomes fields.
+    """BAM log, one table per JSON file; the entries become columns, the header becomes fields.
 
     Source: github.com/Rhoban/bam, Better Actuator Models.
     """

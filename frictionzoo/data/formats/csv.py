@@ -19,7 +19,7 @@ DIGITS = re.compile(r"\s*[+-]?\d{1,40}\s*")  # a whole number
 
 @register_format("csv")
 class Csv(Format):
-    """CSV file with columns of numbers; an empty cell is a missing sample, and columns of text are left out."""
+    """CSV file with columns of numbers; an empty cell is a missing sample; text columns are ignored."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".csv",)
 

@@ -18,7 +18,7 @@ INFO = Path("meta") / "info.json"
 
 @register_format("lerobot")
 class LeRobot(Format):
-    """LeRobot data set, one table an episode; `meta/info.json` names the entries of `observation.state` and `action`.
+    """LeRobot data set, one table per episode; `meta/info.json` names the entries of `observation.state` and `action`.
 
     Supports versions 2 and 3, which differ in the number of episodes a file.
     """

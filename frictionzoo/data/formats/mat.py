@@ -21,7 +21,7 @@ BLOCK = 1 << 20  # bytes unpacked at a time
 
 @register_format("mat")
 class Mat(Format):
-    """MATLAB file: a vector is a column, a matrix one column a signal, a single value a field; objects are left out."""
+    """MATLAB file: a vector is a column, a matrix a column per signal, a scalar a field; objects are ignored."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
     magic: ClassVar[tuple[bytes, ...]] = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")

@@ -14,7 +14,7 @@ HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.re
 
 @register_format("npz")
 class Npz(Format):
-    """NumPy archive: a vector is a column, a matrix one column a signal, a single value a field."""
+    """NumPy archive: a vector is a column, a matrix a column per signal, a scalar a field."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".npz",)
     magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)

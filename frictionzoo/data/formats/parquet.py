@@ -14,7 +14,7 @@ LISTS = ("list", "large_list", "fixed_size_list")
 
 @register_format("parquet")
 class Parquet(Format):
-    """Parquet file: a numeric column is a column, a column of lists of equal length one column an entry."""
+    """Parquet file: numeric columns, and lists of equal length as one column per entry."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq")
     magic: ClassVar[tuple[bytes, ...]] = (b"PAR1",)
