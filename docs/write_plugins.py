@@ -105,7 +105,7 @@ def _plain(value: str | float) -> str:
         text = re.sub(r"\$\{mul:(velocity),velocity\}", r"\1^2", text)
         text = re.sub(r"\$\{mul:([^{},]*),([^{},]*)\}", r"\1 \2", text)
         text = re.sub(r"\$\{div:([^{},]*),([^{},]*)\}", r"\1 / \2", text)
-    return text
+    return re.sub(r"(?<=\d)\.0\b", "", text)
 
 
 def _is_law(name: str) -> bool:
