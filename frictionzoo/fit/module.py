@@ -176,14 +176,23 @@ class FitModule(pl.LightningModule):
     def _explain_divergence(self) -> str | None:
         if not bool(self.progress.broken):
             return None
-        name = self.objective.space.first_nonfinite(np.asarray(self.progress.gradient))
         has_best = int(self.progress.best_iteration) >= 0
         earlier = "the best earlier iteration is kept" if has_best else "no earlier iteration is finite"
         lower = "lower fit.learning_rate, or " if self._fit.name == "adam" else ""
         return (
-            f"fit diverged at iteration {self.iteration}: the loss or its gradient{f' by {name}' if name else ''} is "
-            f"not finite; {earlier}; {lower}start from other initial values or narrower bounds"
+            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {earlier}; {lower}start from other "
+            "initial values or narrower bounds"
         )
+
+    def _name_divergence(self) -> str:
+        space, gradient = self.objective.space, np.asarray(self.progress.gradient)
+        if np.isfinite(gradient).any():
+            return f"the gradient of {space.first_nonfinite(gradient)} is not finite"
+        # A loss that is not finite has no finite gradient entry, so the gradient does not show the cause.
+        if int(self.progress.best_iteration) < 0:
+            return f"the loss or its gradient is not finite at the initial values of {', '.join(space.names)}"
+        farthest = space.farthest(np.asarray(self.progress.vector), np.asarray(self.progress.best))
+        return f"the loss or its gradient is not finite, with {farthest} farthest from its best value"
 
     def _whole_history(self) -> Trace:
         if self.history:

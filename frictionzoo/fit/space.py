@@ -187,6 +187,11 @@ class Space:
                 return name
         return None
 
+    def farthest(self, vector: Float[np.ndarray, "coordinates"], origin: Float[np.ndarray, "coordinates"]) -> str:
+        """Return the name of the parameter whose coordinate moved farthest from `origin` to `vector`."""
+        distances = self._split(jnp.nan_to_num(jnp.abs(jnp.asarray(vector) - jnp.asarray(origin)), nan=jnp.inf))
+        return max(distances, key=lambda named: float(named[1].max()))[0]
+
     def _split(self, vector: Array) -> Iterable[tuple[str, Array]]:
         return zip(self.names, self._unravel(vector), strict=True)
 
