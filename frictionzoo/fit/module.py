@@ -180,8 +180,8 @@ class FitModule(pl.LightningModule):
         earlier = "the best earlier iteration is kept" if has_best else "no earlier iteration is finite"
         lower = "lower fit.learning_rate, or " if self._fit.name == "adam" else ""
         return (
-            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {earlier}; {lower}start from other "
-            "initial values or narrower bounds"
+            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {earlier}; {lower}start from "
+            "other initial values or narrower bounds"
         )
 
     def _name_divergence(self) -> str:
