@@ -214,7 +214,7 @@ def asks_for_excitation(command: str, _: Place) -> object:
     """The drive that it chooses is one of which a recording tells; designing is tests/test_design.py's."""
     with computing("float64"):
         options = dict(argument.split("=", 1) for argument in arguments_of(command))
-        return prepare(Request.read(options, None), None).sensitivity.space.names
+        return prepare(Request.read(options, None), None).space.names
 
 
 def measure(command: str, place: Place) -> None:

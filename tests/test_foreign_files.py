@@ -241,7 +241,7 @@ def test_a_card_in_a_clone_is_updated_and_all_else_stays(outputs: dict[str, Path
 
 
 def test_one_export_replaces_another_and_nothing_else(outputs: dict[str, Path], tmp_path: Path) -> None:
-    folder = shutil.copytree(outputs["card"], tmp_path / "folder")
+    folder = shutil.copytree(outputs["comparison"], tmp_path / "folder")
     (folder / "bench.py").write_text("mine")
     before = see(folder)
     for name in ("a.py", "deep/b.py"):
