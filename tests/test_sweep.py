@@ -22,9 +22,11 @@ from frictionzoo.cli.job import run_job as run_real_job
 from frictionzoo.cli.sweep import _complaint, conclude_sweep, run_in_sweep
 from frictionzoo.core.config import CONF_DIR, prepare_hydra
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.jobs import read_record
 from frictionzoo.core.manifest import MANIFEST, Manifest
 from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.core.threads import count_cores, limit_threads
+from frictionzoo.result.types import Result
 from frictionzoo.result.verdict import DO_NOT_USE
 
 ROOT = Path(__file__).parent.parent
@@ -63,12 +65,12 @@ def test_a_failing_job_does_not_end_the_others(
 
     def run_job(
         config: DictConfig, name: str, folder: Path, options: Sequence[str], given: Given
-    ) -> tuple[dict, str | None]:
+    ) -> tuple[Result, str | None]:
         """The job itself where it fails, and otherwise the results of one that was done before."""
         if name not in done:
             return run_real_job(config, name, folder, options=options, given=given)
         shutil.copytree(done[name], folder, dirs_exist_ok=True)
-        return json.loads((folder / "result.json").read_text()), None
+        return read_record(folder / "result.json", Result), None
 
     monkeypatch.setattr("frictionzoo.cli.job.run_job", run_job)
     # Most of a comparison's time.
@@ -124,7 +126,7 @@ def list_files(folder: Path) -> list[str]:
     return [name for name in os.listdir(folder) if name != MANIFEST]
 
 
-def fail() -> tuple[dict, None]:
+def fail() -> tuple[Result, None]:
     raise ZeroDivisionError("by zero\nand more")
 
 
@@ -143,8 +145,8 @@ def test_an_unexpected_error_is_recorded_and_its_traceback_logged(
 
 
 def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> None:
-    def succeed() -> tuple[dict, None]:
-        content = json.dumps(DONE | {"model": "baseline", "fit": {"stopped": "finished"}})
+    def succeed() -> tuple[Result, None]:
+        content = json.dumps(to_json(changed(DONE, model="baseline", fit={"stopped": "finished"})))
         write_atomically(tmp_path / "result.json", content.encode())
         return DONE, None
 
@@ -164,10 +166,12 @@ def test_a_stopped_sweep_goes_on_with_what_is_missing(
     (tmp_path / "sweep" / "1_coulomb_smooth" / "result.json").unlink()
     done = []
 
-    def run_job(config: DictConfig, name: str, folder: Path, options: Sequence[str], given: Given) -> tuple[dict, None]:
+    def run_job(
+        config: DictConfig, name: str, folder: Path, options: Sequence[str], given: Given
+    ) -> tuple[Result, None]:
         done.append(name)
         shutil.copy(whole / folder.name / "result.json", folder)
-        return json.loads((folder / "result.json").read_text()), None
+        return read_record(folder / "result.json", Result), None
 
     monkeypatch.setattr("frictionzoo.cli.job.run_job", run_job)
     monkeypatch.setattr("frictionzoo.report.comparison_plots.write_figures", lambda *_: None)

@@ -57,7 +57,8 @@ def residual(*places: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 def torque(share: float, compared: str = "torque") -> dict[str, Any]:
     row = {part: {"residual": share, "torque": 1.0} for part in ("train", "test")}
-    return {"compared": compared, "unit": "N m", "mean": row, "by_joint": [{"joint": "knee", **row}]}
+    section = {"compared": compared, "unit": "N m", "bandwidth": 20.0, "held": False}
+    return {**section, "mean": row, "by_joint": [{"joint": "knee", **row}]}
 
 
 def spoil(result: Result, path: str, value: Any) -> Result:
