@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import slow_but, trace_nothing
+from conftest import make_run, slow_but, trace_nothing
 from omegaconf import OmegaConf
 
 from frictionzoo import __version__
@@ -86,7 +86,8 @@ def fit(law: str, *overrides: str, kind: type[Identified] = Identified) -> Ident
     values = {"bench": bench.initial_values(), "friction": state(model)}
     segments = Segments(qpos, qvel, signals, interval, load)
     drawn = trace_nothing(segments)
-    return kind(Path("run"), {"model": model.name}, bench, model.double(), {}, values, segments, sampling, drawn)
+    result = make_run(0, model.name, bench.nv).result
+    return kind(Path("run"), result, bench, model.double(), {}, values, segments, sampling, drawn)
 
 
 draw = partial(fit, kind=Drawn)
