@@ -22,6 +22,7 @@ from frictionzoo.api.identified import Identified
 from frictionzoo.bench import Bench, JointPD, PositionPD
 from frictionzoo.bench.delay import is_filtered, read_filter, write_delay
 from frictionzoo.core.log import Payload
+from frictionzoo.core.output import to_json
 from frictionzoo.export.mjcf import write_identified
 from frictionzoo.models import MujocoDefault
 from frictionzoo.report.terminal import summarise
@@ -176,7 +177,7 @@ def test_a_robots_run_leaves_files_that_move_as_it(text: str, foot: str, tmp_pat
     """What a run says of a robot's files is so, in its `result.json` and where it is printed."""
     drive, folder = identify(tmp_path, text, foot), tmp_path / "run"
     result = drive.save(folder)
-    assert json.loads((folder / "result.json").read_text())["written"] == result["written"]
+    assert json.loads((folder / "result.json").read_text())["written"] == to_json(result["written"])
     assert [row["file"] for row in result["written"]] == ["bench.xml", "identified.xml"]
     for row in result["written"]:
         check(row, (folder / row["file"]).read_text(), drive, foot)
