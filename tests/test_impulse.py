@@ -28,7 +28,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 def with_noise(log: Log, torque: float) -> Log:
     ctrl = log.ctrl + torque * np.random.default_rng(3).normal(size=log.ctrl.shape)
-    return Log(log.name, log.time, log.qpos, log.qvel, ctrl, "hash", True)
+    return Log(log.name, log.time, log.qpos, log.qvel, ctrl, "", True)
 
 
 def test_a_torque_that_lacks_shows_in_its_own_joint_in_its_own_interval(bench: Bench) -> None:
