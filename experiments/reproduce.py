@@ -16,15 +16,15 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import yaml
 
 from frictionzoo.api.comparison_files import write_comparison
 from frictionzoo.cli.run import NOT_IDENTIFIED
+from frictionzoo.core.output import to_json
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import read_runs
-from frictionzoo.result.comparison.types import ComparedRun, Comparison
 
 EXPERIMENTS = Path(__file__).parent
 PROGRAM = "python -m frictionzoo.run "
@@ -79,7 +79,7 @@ def run(commands: list[str], output: Path, start: Callable[..., Any] = start) ->
     return folders
 
 
-def check(comparison: Comparison, checks: list[dict[str, Any]]) -> Iterator[str]:
+def check(comparison: Mapping[str, Any], checks: list[dict[str, Any]]) -> Iterator[str]:
     """Yield one line for each number that is not as expected.
 
     Args:
@@ -112,7 +112,7 @@ def compare_with(value: Any, other: Any) -> Any:
     return None if value is None or not other else value / other
 
 
-def find_run(comparison: Comparison, label: str | None, fold: str | None = None) -> ComparedRun:
+def find_run(comparison: Mapping[str, Any], label: str | None, fold: str | None = None) -> dict[str, Any]:
     """Return the entry of a run.
 
     Args:
@@ -162,7 +162,7 @@ def agrees(value: float | None, expected: Mapping[str, float]) -> bool:
     return math.isclose(value, expected["expected"], rel_tol=expected["relative"], abs_tol=0.0)
 
 
-def tabulate(comparison: Comparison, expected: Mapping[str, Any]) -> str:
+def tabulate(comparison: Any, expected: Mapping[str, Any]) -> str:
     """Return the experiment's table in Markdown, one row per run.
 
     Args:
@@ -203,8 +203,10 @@ def write_table(name: str, table: str) -> None:
     page.write_text(text, encoding="utf-8")
 
 
-def compare(expected: Mapping[str, Any], output: Path, small: bool, start: Callable[..., Any] = start) -> Comparison:
-    """Run an experiment and compare its runs; with folds, compare within each fold and sort by label.
+def compare(
+    expected: Mapping[str, Any], output: Path, small: bool, start: Callable[..., Any] = start
+) -> dict[str, Any]:
+    """Run an experiment and return its comparison as JSON; with folds, compare within each fold and sort by label.
 
     Args:
         expected: Content of `expected.yaml`.
@@ -221,9 +223,10 @@ def compare(expected: Mapping[str, Any], output: Path, small: bool, start: Calla
             commands = [" ".join([command, *options]) for command in expected["commands"]]
             found = compare({"commands": commands}, output / str(number), small, start)
             entries += sorted(({**entry, "fold": fold} for entry in found["runs"]), key=lambda entry: entry["label"])
-        return cast(Comparison, {"runs": entries})
+        return {"runs": entries}
     folders = run(expected["commands"], output, start)
-    return compare_runs(*read_runs(folders)) if small else write_comparison(folders, output / "comparison")
+    compared = compare_runs(*read_runs(folders)) if small else write_comparison(folders, output / "comparison")
+    return to_json(compared)
 
 
 def reproduce(name: str, output: Path, small: bool) -> list[str]:

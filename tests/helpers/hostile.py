@@ -227,7 +227,7 @@ def change_arrays(folder: Path, rng: random.Random) -> None:
 def _hash_again(folder: Path, rng: random.Random) -> None:
     """Most often, have a card's record agree with its files."""
     path = folder / "result.json"
-    with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OSError):
+    with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OSError, RecursionError):
         content = json.loads(path.read_text())
         if rng.random() < 0.8:
             hashes = {
