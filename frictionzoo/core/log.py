@@ -62,7 +62,7 @@ class Log:
         qpos: Joint position [rad or m].
         qvel: Joint velocity [rad/s or m/s], measured or estimated.
         ctrl: Command, one column an actuator, in the actuator law's unit.
-        sha256: SHA-256 of the file or the generated data; for any other text, that of the samples is taken.
+        sha256: SHA-256 of the file or the generated data; any other text is replaced by the hash of the samples.
         simulated: Whether a simulator made it; None: not stated.
         payload: Payload of the drive.
         load: Effect of the payload on the bench's MuJoCo model, from `Bench.accept`.

@@ -72,7 +72,7 @@ class Written:
         if share is None or share <= FAR:
             return ""
         reason = difference.reason or "for no known reason: do not use it"
-        return f"far from the drive, {100 * share:.0f} % of its own error: {reason}"
+        return f"far from the drive, {100 * share:.0f} % of the test error: {reason}"
 
 
 class Target(ABC):

@@ -72,7 +72,7 @@ class Mjcf(Target):
     """MJCF of the bench or a robot with identified values; friction as MuJoCo's nearest frictionloss and damping."""
 
     options: ClassVar[Mapping[str, str]] = {
-        "into": "a robot's MJCF or URDF, of which a copy gets the drive",
+        "into": "a robot's MJCF or URDF, copied, and the copy gets the drive",
         "joint": "its joint, or several with commas between",
         "actuator": "identified, to replace or add the joints' actuators, or keep",
     }

@@ -341,7 +341,7 @@ def main(source: Path, card: Path, scratch: Path, count: int, seed: int) -> None
         if watch.seen:
             wrong.append(case | {"seen": watch.seen[:3]})
         if number < 0 and outcome != "done":
-            wrong.append(case | {"error": "refused as it is"})
+            wrong.append(case | {"error": "refused without a change"})
         left = {path.name: path.read_bytes() for path in outside.iterdir()}
         if [*scratch.rglob(MARK)] or hasattr(sys, MARK) or left != {"file": b"mine"}:
             wrong.append(case | {"error": "executed, or written outside"})

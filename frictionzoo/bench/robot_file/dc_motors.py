@@ -52,7 +52,7 @@ def read_bristles(source: Source, motors: Mapping[int, Sequence[int]]) -> dict[s
     for name, indices in zip(names, motors.values(), strict=True):
         with_bristles = [index for index in indices if model.actuator_dynprm[index, _STIFFNESS] > 0]
         if len(with_bristles) > 1:
-            source.note(f"joint {name} has bristles of {len(with_bristles)} DC motors, of which those of one are read")
+            source.note(f"joint {name} has {len(with_bristles)} DC motors with bristles; only the first is read")
         rows.append(_bristles(model, with_bristles[0]) if with_bristles else [np.nan] * len(BRISTLES))
     values: dict[str, np.ndarray] = dict(zip(BRISTLES, np.array(rows).T, strict=True))
     is_dahl = (values["micro_damping"] == 0) & (values["static_torque"] == values["kinetic_torque"])
