@@ -104,7 +104,7 @@ class Axis:
 
     Attributes:
         log: Whether it is logarithmic.
-        limits: First and last value; None to fit the marks.
+        limits: First and last value; None, or values that are not finite, to fit the marks.
         ticks: Names of the values 0, 1, 2 and so on, instead of numbers.
     """
 
@@ -113,6 +113,10 @@ class Axis:
     log: bool = False
     limits: tuple[float, float] | None = None
     ticks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.limits is not None and not np.isfinite(self.limits).all():
+            object.__setattr__(self, "limits", None)
 
     @property
     def title(self) -> str:
