@@ -156,7 +156,7 @@ def read_run(folder: Path) -> tuple[types.Result, Curves]:
 
 
 def _refuse_inconsistent(path: Path, result: types.Result, curves: Curves) -> None:
-    """Raise RunError if parts of a result name unknown joints, which a schema cannot express."""
+    """Raise RunError for what a schema cannot express: unknown joints, and a reported iteration that was not made."""
     joints = result.joints
     named = [(row.joints, f"parameters: {p.name}") for p in result.parameters for row in p.by_joint]
     named += [([row.joint for row in result.by_joint], "by_joint")]
@@ -167,6 +167,11 @@ def _refuse_inconsistent(path: Path, result: types.Result, curves: Curves) -> No
         raise RunError(
             f"{path}: {where} has {', '.join(names) or 'no joint'}, expected joints among {', '.join(joints)}; name a "
             "run that this program made"
+        )
+    best, made = result.fit.best_iteration, curves.history.get("iteration")
+    if made is not None and best not in made:
+        raise RunError(
+            f"{path}: fit.best_iteration is {best}, expected one of {CURVES}; name a run that this program made"
         )
 
 
