@@ -19,7 +19,7 @@ def make_log(**changes) -> Log:
         "qpos": np.stack([number, number], axis=1),
         "qvel": np.stack([-number, -number], axis=1),
         "ctrl": number[:, None],
-        "sha256": "hash",
+        "sha256": "a" * 64,
         "simulated": False,
     }
     return Log(**(fields | changes))
@@ -41,7 +41,7 @@ def test_a_log_cannot_be_changed_and_a_part_keeps_all_but_the_other_samples():
     with pytest.raises(dataclasses.FrozenInstanceError):
         log.name = "b.csv"
     part = log.between(3, 7, "train")
-    assert (part.name, part.sha256, part.simulated, part.metadata) == ("a.csv[train]", "hash", False, {"mass": 0.26})
+    assert (part.name, part.sha256, part.simulated, part.metadata) == ("a.csv[train]", "a" * 64, False, {"mass": 0.26})
     for signal in ("time", "qpos", "qvel", "ctrl"):
         np.testing.assert_array_equal(getattr(part, signal), getattr(log, signal)[3:7])
 
