@@ -28,7 +28,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.fit import InverseDynamics, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.motion import Recordings
-from frictionzoo.fit.torque_balance import Links, balance
+from frictionzoo.fit.torque_balance import FreeLinks, balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.registry import get_model
@@ -237,17 +237,17 @@ def say(found: LinkInertia, seen: list[bool], bandwidth: float, seconds: float) 
 @contextlib.contextmanager
 def watched() -> Iterator[list[bool]]:
     """Yield a list that records at each fit step whether all link inertias are physically consistent."""
-    seen, look = list[bool](), Links.prior
+    seen, look = list[bool](), FreeLinks.prior
 
-    def watch(links: Links, parameters: Float[np.ndarray, "bodies 10"]) -> Any:
+    def watch(links: FreeLinks, parameters: Float[np.ndarray, "bodies 10"]) -> Any:
         seen.append(bool(is_consistent(parameters).all()))
         return look(links, parameters)
 
-    Links.prior = watch
+    FreeLinks.prior = watch
     try:
         yield seen
     finally:
-        Links.prior = look
+        FreeLinks.prior = look
 
 
 if __name__ == "__main__":

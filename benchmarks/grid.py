@@ -25,7 +25,7 @@ from omegaconf import OmegaConf
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.fit import run_fit
-from frictionzoo.fit.loop import Record
+from frictionzoo.fit.loop import FitFiles
 from frictionzoo.identification import Problem
 
 COLUMNS = {
@@ -122,7 +122,7 @@ def search_with_package(model: str, *overrides: str) -> dict[str, Any]:
     problem = pose(f"model={model}", *overrides)
     settings = problem.settings
     with tempfile.TemporaryDirectory() as folder:
-        record = Record(Path(folder), build(settings["logger"]))
+        record = FitFiles(Path(folder), build(settings["logger"]))
         outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **settings["loop"])
     way = "fit=grid" if model == GRID else "gradient"
     return row(way, model, outcome.iterations, outcome.compile_seconds, outcome.fit_seconds)

@@ -115,7 +115,7 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
     from frictionzoo.core.build import build
     from frictionzoo.core.segments import cut_segments
     from frictionzoo.fit import Objective, Space, run_fit
-    from frictionzoo.fit.loop import Record
+    from frictionzoo.fit.loop import FitFiles
     from frictionzoo.simulation.drive import Drive
 
     settings = compose("model=mujoco_default", "fit=lm", f"segments.length={length}", "segments.count=null")
@@ -132,7 +132,7 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
     fit, model = build(settings["fit"]), drive.model
     loop = settings["loop"] | {"progress": False}
     with tempfile.TemporaryDirectory() as folder:
-        outcome = run_fit(fit, objective, model, Record(Path(folder), build(settings["logger"])), **loop)
+        outcome = run_fit(fit, objective, model, FitFiles(Path(folder), build(settings["logger"])), **loop)
     armature = float(outcome.values["bench"]["armature"][0])
     samples = sum(log.samples for log in logs)
     return {

@@ -24,7 +24,7 @@ from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.report.run_page import check_result, write_report
 from frictionzoo.report.terminal import summarise
 from frictionzoo.result.draws import draw_parameters
-from frictionzoo.result.evaluate import Evaluation
+from frictionzoo.result.evaluate import Evaluator
 from frictionzoo.result.names import label_values, merge_known, name_some
 from frictionzoo.result.record import build_result, pick_metrics, read_schema
 from frictionzoo.result.section_types import JointTorque, Torque, TorqueErrors, TorqueParts
@@ -81,7 +81,7 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     wave = np.sin(3 * time)[:, None] * np.ones(4)
     log = Log("waves", time, wave, 3 * np.cos(3 * time)[:, None] * np.ones(4), wave, sha256=64 * "a", simulated=True)
     dataset = Dataset("waves", (log,), (log,))
-    evaluation = Evaluation(dataset, "hinge", [0.1], 4, trajectory=0.3, window=0.02, places=3, local=0.05)
+    evaluation = Evaluator(dataset, "hinge", [0.1], 4, trajectory=0.3, window=0.02, places=3, local=0.05)
     values = {"bench": bench.initial_values(), "friction": {n: np.full(4, 0.1) for n in ("frictionloss", "damping")}}
     values["friction"]["frictionloss"][1] = 1.0
 

@@ -36,7 +36,7 @@ from frictionzoo.fit import Grid, loggers, run_fit
 from frictionzoo.fit.loss import Loss
 from frictionzoo.models import Baseline, registry
 from frictionzoo.models.by_name import complete_laws
-from frictionzoo.result.evaluate import Evaluation
+from frictionzoo.result.evaluate import Evaluator
 
 METHODS = {"adam": "Adam", "lm": "LevenbergMarquardt", "auto": "Auto", "grid": "Grid"}
 HOMES = {"model": "models", "bench": "bench", "fit": "fit", "logger": "fit"}  # where the classes of a group are
@@ -85,7 +85,7 @@ DEFAULTS = {  # what Python takes where nothing is said, by the choice and the s
     "data=files split": Split,
     "segments": cut_segments,
     "loss": Loss,
-    "evaluation": Evaluation,
+    "evaluation": Evaluator,
     "loop": run_fit,
 }
 LEFT_TO_THE_JOB = {"history", "params", "_target_"}

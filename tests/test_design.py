@@ -19,7 +19,7 @@ from frictionzoo.cli.finished import design as main
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.design.excitation import _refuse_beyond, excite, prepare
-from frictionzoo.design.information import Noise, inform
+from frictionzoo.design.information import SensorNoise, inform
 from frictionzoo.design.plan import Plan, Request
 from frictionzoo.simulation.context import computing
 
@@ -164,7 +164,7 @@ def test_the_covariance_is_that_of_independent_noise_in_every_sample() -> None:
     """Against the same written as one matrix from the noise of all samples to the gradient."""
     rng, segments, length, nv, count = np.random.default_rng(0), 3, 4, 2, 3
     slopes = rng.normal(size=(segments, count + 2 * nv, 1, length, nv, 2))
-    noise, weights = Noise(quantum=0.0, position_noise=0.3, velocity_noise=0.7), (2.0, 0.5)
+    noise, weights = SensorNoise(quantum=0.0, position_noise=0.3, velocity_noise=0.7), (2.0, 0.5)
     with jax.enable_x64(True):
         found = inform(jax.numpy.asarray(slopes), weights, noise)
         covariance = found.covariance[0]

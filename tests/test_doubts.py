@@ -22,7 +22,7 @@ from frictionzoo.diagnostics.following import Followed, check_following
 from frictionzoo.diagnostics.lags import compare
 from frictionzoo.diagnostics.recordings import check_up, find_all
 from frictionzoo.identification.solve import list_moving
-from frictionzoo.result.types import Parameter, Result, Value
+from frictionzoo.result.types import ParameterRecord, Result, Value
 from frictionzoo.result.verdict import doubt_errors, doubt_reference, explain_failure
 
 ARMATURE = {"init": 50.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}
@@ -288,12 +288,12 @@ def test_what_mujoco_would_touch_on_the_way_is_told(recorded: tuple[Log, Bench],
 
 def at_bounds(
     *names: str, owner: Any = "bench", unit: str = "kg", value: float = 0.1, low: float = 0.1
-) -> list[Parameter]:
+) -> list[ParameterRecord]:
     """Parameters of a knee that ended at a bound."""
     about: Any = {"value": value, "low": low, "high": 2.0, "identified": True, "at_bound": True}
     unknown: Any = {"interval": None, "identifiable": None}
     rows = [Value(name="knee", joints=["knee"], **about, **unknown)]
-    return [Parameter(name=name, owner=owner, unit=unit, by_joint=rows, **about, **unknown) for name in names]
+    return [ParameterRecord(name=name, owner=owner, unit=unit, by_joint=rows, **about, **unknown) for name in names]
 
 
 def errors(result: Result, test: float | None) -> Result:

@@ -7,7 +7,7 @@ from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
-from frictionzoo.result.evaluate import Evaluation, Prediction, measure, moving_mean_and_std, rollout_mae
+from frictionzoo.result.evaluate import Evaluator, Prediction, measure, moving_mean_and_std, rollout_mae
 
 TIMESTEP = 0.01
 
@@ -45,7 +45,7 @@ def evaluate(dataset, **changes):
         "local": 0.1,
         "seed": 3,
     }
-    return Evaluation(dataset, "hinge", **(options | changes))
+    return Evaluator(dataset, "hinge", **(options | changes))
 
 
 @pytest.fixture

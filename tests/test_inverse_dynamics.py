@@ -25,7 +25,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import InverseDynamics, Space
 from frictionzoo.fit.motion import Decimation, Filtering, Recordings
-from frictionzoo.fit.torque_balance import Links, balance
+from frictionzoo.fit.torque_balance import FreeLinks, balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
@@ -203,9 +203,9 @@ def test_link_inertia_is_found_as_far_as_the_data_tell(arm_file: Path, monkeypat
         noise = 2e-6 * rng.normal(size=motion[0].shape)
         logs.append(log_of(motion[0] + noise, needed(model, motion), str(seed)))
     equation = equation_of(bench, law_of("mujoco_default", 5), *logs)
-    links = Links.of(equation, bodies, SPREAD)
-    look = Links.prior
-    monkeypatch.setattr(Links, "prior", lambda self, parameters: seen.append(parameters) or look(self, parameters))
+    links = FreeLinks.of(equation, bodies, SPREAD)
+    look = FreeLinks.prior
+    monkeypatch.setattr(FreeLinks, "prior", lambda self, parameters: seen.append(parameters) or look(self, parameters))
     found = balance(equation, links)
     assert len(seen) > 10 and all(is_consistent(parameters).all() for parameters in seen)
 

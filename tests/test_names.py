@@ -47,7 +47,7 @@ from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models import Dahl, MujocoDefault
 from frictionzoo.report.card import write_card
 from frictionzoo.result.fitted_drive import FittedDrive
-from frictionzoo.result.types import Parameter, Result
+from frictionzoo.result.types import ParameterRecord, Result
 from frictionzoo.result.values import list_values
 
 PLAIN = ("plain_one", "plain_two")
@@ -141,14 +141,14 @@ def make_drive(path: Path, names: Sequence[str], law: Any = MujocoDefault) -> Id
     return Still(None, result, bench, model, {}, values, segments, *known)
 
 
-def _describe(bench: Any, owner: Any, param: Any, value: Any) -> Parameter:
+def _describe(bench: Any, owner: Any, param: Any, value: Any) -> ParameterRecord:
     about: Any = {"low": 0.0, "high": 1.0, "identified": False, "at_bound": False}
     unknown: Any = {"interval": None, "identifiable": None}
     by_joint = list_values(bench, param, f"{owner}.{param.name}", value, Uncertainty())
     for row in by_joint:
         row.identified = False
     values = param.spread(np.asarray(value, float), 2).tolist()
-    return Parameter(param.name, owner, values, "1", by_joint=by_joint, **about, **unknown)
+    return ParameterRecord(param.name, owner, values, "1", by_joint=by_joint, **about, **unknown)
 
 
 def write(target: str, folder: Path, names: Sequence[str]) -> Path:

@@ -22,7 +22,7 @@ from frictionzoo.data.recording import Recording
 from frictionzoo.data.select import choose_payloads
 from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Problem
-from frictionzoo.result.evaluate import Evaluation, predict
+from frictionzoo.result.evaluate import Evaluator, predict
 from frictionzoo.result.record import describe_data
 from frictionzoo.simulation import Engine, MjxEngine, SpecialisedEngine
 
@@ -155,7 +155,7 @@ def test_one_drive_is_found_from_recordings_with_different_payloads(
     assert [log["payload"] for log in describe_data(problem.dataset)["logs"]] == numbers
     test = problem.dataset.test[0]
     heavier = replace(problem.dataset, test=(problem.bench.accept(replace(test, payload=PAYLOADS[0])),))
-    assert Evaluation(heavier, "hinge", **settings["evaluation"]).sha256 != problem.evaluation.sha256
+    assert Evaluator(heavier, "hinge", **settings["evaluation"]).sha256 != problem.evaluation.sha256
 
 
 def test_a_payload_needs_a_body_that_is_there(tmp_path: Path, knee: Bench) -> None:

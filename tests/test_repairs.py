@@ -20,7 +20,7 @@ from frictionzoo.identification.commands import complete_options
 from frictionzoo.report.run_page import list_uses
 from frictionzoo.report.terminal import summarise
 from frictionzoo.result.record import read_run
-from frictionzoo.result.section_types import Command
+from frictionzoo.result.section_types import SuggestedCommand
 from frictionzoo.result.verdict import DO_NOT_USE, is_usable, judge
 
 KP, KD = 20 * 0.151, 0.151  # N m/rad, N m s/rad
@@ -100,7 +100,7 @@ def test_the_first_command_is_the_repair_and_runs(call: Callable[..., Finished],
 def test_what_is_not_to_be_used_goes_neither_to_hardware_nor_elsewhere(finished_run: Run, repair: bool) -> None:
     """And a run with a repair designs no recording."""
     usable = read_run(finished_run("mujoco_default")[0])[0]
-    rows = [Command(kind, text) for kind, text in COMMANDS.items() if repair or kind != "repair"]  # pyright: ignore
+    rows = [SuggestedCommand(kind, text) for kind, text in COMMANDS.items() if repair or kind != "repair"]  # pyright: ignore
     usable.not_identified = None
     kept = judge(usable, rows)
     assert kept.grade != DO_NOT_USE

@@ -41,7 +41,7 @@ from frictionzoo.report.terminal import summarise
 from frictionzoo.report.with_matplotlib import draw
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.record import read_schema
-from frictionzoo.result.types import Parameter, Result, Value
+from frictionzoo.result.types import ParameterRecord, Result, Value
 
 
 def validate(result):
@@ -79,7 +79,7 @@ def test_result_says_what_was_done(result, bench):
     about = {"value": 0.3, "low": 1e-3, "high": 1.0, "identified": True, "at_bound": False}
     unknown = {"interval": None, "identifiable": None}
     joint = Value(bench.joints[0], list(bench.joints), **about, **unknown)
-    expected = Parameter(name="static_torque", owner="friction", unit="N m", **about, by_joint=[joint], **unknown)
+    expected = ParameterRecord(name="static_torque", owner="friction", unit="N m", **about, by_joint=[joint], **unknown)
     assert parameters["friction", "static_torque"] == expected
     assert parameters["bench", "armature"]["unit"] == "kg m^2"
     assert result["network"] is None

@@ -25,7 +25,7 @@ from frictionzoo.core.manifest import MANIFEST, Manifest
 from frictionzoo.core.output import occupy
 from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
-from frictionzoo.fit.loop import Record
+from frictionzoo.fit.loop import FitFiles
 from frictionzoo.identification import Problem, recipe
 from frictionzoo.report import run_plots
 
@@ -215,7 +215,7 @@ def test_a_run_that_lost_patience_is_resumed_to_the_same_end(pose: Callable, tmp
     # So large a step throws the values about, and no iteration beats an early one for three in a row.
     problem = pose("loop.patience=3", "fit.learning_rate=1.0", "fit.iterations=60")
     solved, loop = (problem.fit, problem.objective, problem.drive.model), problem.settings["loop"]
-    first, again = (run_fit(*solved, Record(tmp_path, Csv()), **loop) for _ in range(2))
+    first, again = (run_fit(*solved, FitFiles(tmp_path, Csv()), **loop) for _ in range(2))
     assert first.stopped == again.stopped == "patience"
     assert (first.iterations, first.best_iteration, first.loss) == (again.iterations, again.best_iteration, again.loss)
     np.testing.assert_equal((again.vector, again.history), (first.vector, first.history))

@@ -22,7 +22,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.cli import inspect
 from frictionzoo.cli.finished import card, compare, export
 from frictionzoo.cli.overrides import given_to_hydra, quote_values, read_arguments, refuse_no_choice
-from frictionzoo.cli.resume import SETTINGS, Begun, restore_overrides
+from frictionzoo.cli.resume import SETTINGS, SavedRequest, restore_overrides
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config, merge_saved
 from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError
@@ -166,7 +166,7 @@ def test_caches_of_a_stranger_are_not_used(foreign: Path) -> None:
 
     change(foreign / SETTINGS, cache)
     plain, today = (compose_config("data=files", "model=coulomb_smooth", *more) for more in ((), ("seed=9",)))
-    merged = merge_saved(Begun.read(foreign).settings, plain, today)
+    merged = merge_saved(SavedRequest.read(foreign).settings, plain, today)
     assert merged.compilation_cache == merged.data.cache_dir == "user"
     assert merged.device == "${oc.env:HOME}"  # text that refers to nothing
     assert (merged.seed, merged.fit.iterations) == (9, 3)  # today's, and the run's

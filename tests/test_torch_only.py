@@ -23,7 +23,7 @@ from frictionzoo.export.write import write_exports
 from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loggers import Csv
-from frictionzoo.fit.loop import Record
+from frictionzoo.fit.loop import FitFiles
 from frictionzoo.models import FrictionModel, TorchFriction, register_model
 from frictionzoo.models.contract import check_model
 from frictionzoo.models.registry import REGISTRY
@@ -144,8 +144,8 @@ def test_a_fit_takes_the_same_way_also_after_an_interruption(
     with monkeypatch.context() as patch:
         patch.setattr(loop._Saver, "on_train_epoch_end", save_and_fall)
         with pytest.raises(RuntimeError, match="the power is gone"):
-            run_fit(fit, torched, law, Record(tmp_path, Csv()), chunk=2, progress=False)
-    resumed = run_fit(fit, torched, law, Record(tmp_path, Csv()), chunk=2, progress=False)
+            run_fit(fit, torched, law, FitFiles(tmp_path, Csv()), chunk=2, progress=False)
+    resumed = run_fit(fit, torched, law, FitFiles(tmp_path, Csv()), chunk=2, progress=False)
     np.testing.assert_equal((resumed.vector, resumed.history), (whole.vector, whole.history))
 
 

@@ -20,7 +20,7 @@ from frictionzoo.identification.commands import Origin
 from frictionzoo.report.terminal import summarise
 from frictionzoo.result.record import read_run
 from frictionzoo.result.section_types import Verdict
-from frictionzoo.result.types import Parameter, Result, Value
+from frictionzoo.result.types import ParameterRecord, Result, Value
 from frictionzoo.result.verdict import judge, say_finding
 
 Run = Callable[[str], tuple[Path, Finished]]
@@ -141,12 +141,12 @@ def test_where_the_error_is_and_what_has_that_is_said(good: Result, found: dict,
     assert finding["kind"] == "residual" and finding["law"] == found["law"] and text in say_finding(finding)
 
 
-def bound(full: str, unit: str, high: bool) -> Parameter:
+def bound(full: str, unit: str, high: bool) -> ParameterRecord:
     (owner, name), value = full.split("."), 2.0 if high else 1.0
     about: Any = {"value": value, "low": 1.0, "high": 2.0, "identified": True, "at_bound": True}
     unknown: Any = {"interval": None, "identifiable": True}
     row = Value(name="knee", joints=["knee"], **about, **unknown)
-    return Parameter(name=name, owner=cast(Any, owner), unit=unit, by_joint=[row], **about, **unknown)
+    return ParameterRecord(name=name, owner=cast(Any, owner), unit=unit, by_joint=[row], **about, **unknown)
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def bound(full: str, unit: str, high: bool) -> Parameter:
         (bound("friction.stribeck_velocity", "rad/s", True), False),
     ],
 )
-def test_a_bound_that_cuts_a_size_off_forbids_use(good: Result, parameter: Parameter, severe: bool) -> None:
+def test_a_bound_that_cuts_a_size_off_forbids_use(good: Result, parameter: ParameterRecord, severe: bool) -> None:
     good.parameters = [parameter]
     findings = judge(good).findings
     assert [finding["severe"] for finding in findings if finding["kind"] == "bounds"] == [severe]

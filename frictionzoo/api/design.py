@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from frictionzoo.core.output import claim, refuse_existing, to_json, write_atomically, write_json
-from frictionzoo.design.excitation import Excitation, excite
+from frictionzoo.design.excitation import DesignedCommand, excite
 from frictionzoo.design.write import files_of
 from frictionzoo.report.design_page import write_page
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -14,7 +14,7 @@ NOTE = "excitation.json"
 
 
 @dataclass(frozen=True)
-class Design(Excitation):
+class Design(DesignedCommand):
     """A command ready to record, with its expected motion."""
 
     def save(self, folder: str | Path) -> None:

@@ -16,7 +16,7 @@ from frictionzoo.core.output import RUN_FILES
 from frictionzoo.core.telling import tell, telling_again
 from frictionzoo.data.cache import digest
 from frictionzoo.fit.loggers import RunLogger
-from frictionzoo.fit.loop import Record
+from frictionzoo.fit.loop import FitFiles
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
 from frictionzoo.report.terminal import summarise_in_markdown
@@ -52,7 +52,7 @@ def run_job(
         problem = Problem.pose(parts)
         if teacher:
             problem = problem.following(teacher)
-        record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
+        record = FitFiles(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
         origin = Origin.of_run(options, folder, teacher.place if teacher else None)
         drive = Identified.of(solve(problem, name, device, record=record, origin=origin))
     tell(f"writing {folder}")

@@ -25,7 +25,7 @@ _OF_HYDRA = re.compile(r"[+~]*hydra\b|-")
 LOCAL_LOGGERS = ("csv", "tensorboard")  # only write files, and only into the run's folder
 
 
-class Begun(NamedTuple):
+class SavedRequest(NamedTuple):
     """Request for a run, as saved in its folder.
 
     Attributes:
@@ -46,7 +46,7 @@ class Begun(NamedTuple):
         write_json(folder / SETTINGS, to_json({**self._asdict(), "choices": chosen, "options": list(self.options)}))
 
     @classmethod
-    def read(cls, folder: Path) -> "Begun":
+    def read(cls, folder: Path) -> "SavedRequest":
         """Read `SETTINGS` of a run's folder, which may come from a stranger.
 
         Raises:
@@ -86,7 +86,7 @@ def restore_overrides(arguments: Sequence[str]) -> list[str]:
     if resume.lower() == "true" or {"-m", "--multirun"} & set(arguments):
         _refuse_no_sweep(resume, arguments)
         return [*arguments]
-    choices = Begun.read(Path(resume)).choices
+    choices = SavedRequest.read(Path(resume)).choices
     logger = choices.get("logger")
     if logger not in (None, *LOCAL_LOGGERS) and last_value("logger", arguments) is None:
         reason = f"it was recorded with logger={logger}, which starts a program or follows a database in that folder"
@@ -104,7 +104,7 @@ def restore_settings(
     Raises:
         ConfigError: The run's settings do not fit its configuration files, or refer to something outside them.
     """
-    begun = Begun.read(folder)
+    begun = SavedRequest.read(folder)
     choices = [*choices_of(begun.choices)]
     before = compose_config(*choices)
     settings = merge_saved(begun.settings, before, config)
@@ -174,7 +174,7 @@ def nothing_of_a_refused_run(folders: Sequence[Path]) -> Iterator[None]:
 def say_how_a_run_goes_on(folder: Path) -> str:
     """Return which parts of an unfinished run its folder has, and how to resume it."""
     try:
-        Begun.read(folder)
+        SavedRequest.read(folder)
     except ConfigError:  # it ended before it saved anything
         return NOTHING_KEPT
     saved = "its options and automatic settings" if (folder / SETTLED).exists() else "its options"

@@ -18,7 +18,7 @@ from frictionzoo.cli.explain import missing_plugin
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, outlive_readers, stoppable
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.cli.resume import (
-    Begun,
+    SavedRequest,
     nothing_of_a_refused_run,
     record_job,
     recorded,
@@ -86,7 +86,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
     limit_threads(config.threads if alone else threads_each(config.threads))
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     if not goes_on:
-        Begun(choices, options, settings).save(folder)
+        SavedRequest(choices, options, settings).save(folder)
     model = choices["model"]
     tell(f"reading bench and recordings ({model} on {settings['data'].get('name', 'data')})")
     build(settings["data"], Source).find()

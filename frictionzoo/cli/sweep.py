@@ -19,7 +19,7 @@ from frictionzoo.cli.explain import explain
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.jobs import find_runs, read_failure, read_json, read_record
-from frictionzoo.core.manifest import Manifest, State, saying
+from frictionzoo.core.manifest import FileState, Manifest, saying
 from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock, occupy, to_json, write_json
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.types import Result
@@ -50,7 +50,7 @@ class SweepFolder(Callback):
             manifest = Manifest(folder, "sweep")
             manifest.refuse([_SWEEP_RECORD])
             with saying(folder):
-                manifest.record({_SWEEP_RECORD: State.of(OmegaConf.to_yaml(config).encode())})
+                manifest.record({_SWEEP_RECORD: FileState.of(OmegaConf.to_yaml(config).encode())})
         _begun.get([]).append(folder)
         # Ray reads this on import; without it, a node listens on all interfaces, whatever its address.
         if OmegaConf.select(config, "hydra.launcher.ray.init.address") == "local":

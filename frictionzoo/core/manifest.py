@@ -35,14 +35,14 @@ _LINKS = (
 )
 
 
-class State(NamedTuple):
+class FileState(NamedTuple):
     """Content that this program gave a file: size in bytes and hash."""
 
     size: int
     sha256: str
 
     @classmethod
-    def of(cls, content: bytes) -> "State":
+    def of(cls, content: bytes) -> "FileState":
         """Return the state of a file with this content."""
         return cls(len(content), hashlib.sha256(content).hexdigest())
 
@@ -98,7 +98,7 @@ class Manifest:
             with saying(path, len(content)):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self.begin()  # its token identifies the temporary file
-                self.record({name: State.of(content)})
+                self.record({name: FileState.of(content)})
                 with open(temporary, "xb") as file:
                     file.write(content)
                     file.flush()
@@ -145,7 +145,7 @@ class Manifest:
             self._states.clear()  # `record` lists them again
             self._began = False
 
-    def record(self, states: Mapping[str, State]) -> None:
+    def record(self, states: Mapping[str, FileState]) -> None:
         """List the contents that files are about to have; OSError if the disk is full."""
         new = {name: state for name, state in states.items() if state not in self._states.get(name, [])}
         if not new:
@@ -168,7 +168,7 @@ class Manifest:
         names = [name for name in self._walk(folder) if name not in self._states and self.owns(name)]
         paths = {name: self.root / name for name in names if not (self.root / name).is_symlink()}
         with saying(self.root / folder):
-            self.record({name: State.of(path.read_bytes()) for name, path in paths.items()})
+            self.record({name: FileState.of(path.read_bytes()) for name, path in paths.items()})
 
     def begin(self) -> None:
         """Create the manifest if needed and add this process's token, which marks its unfinished files."""
@@ -238,7 +238,7 @@ class Manifest:
                 yield Path(place, name).relative_to(self.root).as_posix()
 
     def _read(self) -> None:
-        self._states: dict[str, list[State]] = {}
+        self._states: dict[str, list[FileState]] = {}
         self._marks: dict[str, tuple[int, bytes]] = {}
         self._tokens: set[str] = set()
         self._listed: set[str] = set()  # by all kinds of commands
@@ -255,7 +255,7 @@ class Manifest:
         for kind, name, content in entries:
             if kind != self.kind:
                 continue
-            if isinstance(content, State):
+            if isinstance(content, FileState):
                 self._states.setdefault(name, []).append(content)
             elif isinstance(content, str):
                 self._tokens.add(content)
@@ -280,7 +280,7 @@ class Manifest:
             raise
 
 
-def _parse(line: bytes) -> tuple[str, str, State | tuple[int, bytes] | str] | None:
+def _parse(line: bytes) -> tuple[str, str, FileState | tuple[int, bytes] | str] | None:
     """Return kind of command, name and content (state, mark, or token of a session without a name) of an entry.
 
     None for an invalid line, such as one that a killed process left.
@@ -295,7 +295,7 @@ def _parse(line: bytes) -> tuple[str, str, State | tuple[int, bytes] | str] | No
             content = entry["at"], bytes.fromhex(entry["bytes"])
             is_valid = type(content[0]) is int and len(content[1]) >= 8
         else:
-            content = State(entry["size"], entry["sha256"])
+            content = FileState(entry["size"], entry["sha256"])
             is_valid = type(content.size) is int and isinstance(content.sha256, str)
         return (kind, name, content) if is_valid and isinstance(kind, str) and isinstance(name, str) else None
     return None
@@ -320,12 +320,12 @@ def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
-def _is_one_of(path: Path, states: Sequence[State]) -> bool:
+def _is_one_of(path: Path, states: Sequence[FileState]) -> bool:
     size = path.stat().st_size
     if size not in {state.size for state in states}:
         return False
     with open(path, "rb") as file:
-        return State(size, hashlib.file_digest(file, "sha256").hexdigest()) in states
+        return FileState(size, hashlib.file_digest(file, "sha256").hexdigest()) in states
 
 
 def _read_at(path: Path, at: int, size: int) -> bytes:

@@ -18,7 +18,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from frictionzoo.core.errors import OutputError, RunError
-from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empty, saying, show_path
+from frictionzoo.core.manifest import ABANDONED, FileState, Manifest, remove_if_empty, saying, show_path
 from frictionzoo.core.records import Record
 
 # Files in a job's folder that show its status.
@@ -123,7 +123,7 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
     # The lock is a file too, listed before it exists.
     manifest = Manifest(folder, "run")
     manifest.refuse([RUNNING])
-    manifest.record({RUNNING: State.of(b"")})
+    manifest.record({RUNNING: FileState.of(b"")})
     lock = FileLock(folder / RUNNING)
     try:
         lock.acquire(timeout=0)
@@ -137,7 +137,7 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
         lock.acquire()
     try:
         manifest = Manifest(folder, "run")
-        manifest.record({RUNNING: State.of(b"")})  # the previous owner may have removed the manifest
+        manifest.record({RUNNING: FileState.of(b"")})  # the previous owner may have removed the manifest
         with claim(folder, "run", names, inside) as manifest:
             manifest.remove_parts()
             yield manifest
@@ -235,7 +235,7 @@ def _put_in_place(fresh: Path, manifest: Manifest, last: str) -> None:
     new = {path.relative_to(fresh).as_posix(): path for path in sorted(fresh.rglob("*")) if path.is_file()}
     manifest.refuse(new)
     old = manifest.list_files()
-    manifest.record({name: State.of(path.read_bytes()) for name, path in new.items()})
+    manifest.record({name: FileState.of(path.read_bytes()) for name, path in new.items()})
     for name in sorted(new, key=lambda name: name == last):
         (manifest.root / name).parent.mkdir(parents=True, exist_ok=True)
         manifest.put(new[name], name)

@@ -27,7 +27,7 @@ _LEAST = 0.01  # share of the velocity limit below which the drive counts as not
 
 
 @dataclass(frozen=True)
-class Search:
+class SearchOptions:
     """Options of the search.
 
     Attributes:
@@ -66,7 +66,9 @@ class Optimum(NamedTuple):
     first: Float[np.ndarray, "starts"]
 
 
-def design(task: Task, series: Series, limits: Limits, search: Search, reference: Float[np.ndarray, "own"]) -> Optimum:
+def design(
+    task: Task, series: Series, limits: Limits, search: SearchOptions, reference: Float[np.ndarray, "own"]
+) -> Optimum:
     """Optimise the coefficients of a series with Adam and exact gradients, from several starting points in parallel.
 
     Limits are soft penalties here; `scale_within` enforces them. `series` comes from `Series.shortened`. `reference` is
@@ -100,7 +102,7 @@ def design(task: Task, series: Series, limits: Limits, search: Search, reference
     return Optimum(np.asarray(optima)[chosen] * size[chosen], np.where(np.isfinite(losses), losses, np.nan), initial)
 
 
-def _draw(series: Series, nv: int, search: Search) -> Float[np.ndarray, "starts nv coefficients"]:
+def _draw(series: Series, nv: int, search: SearchOptions) -> Float[np.ndarray, "starts nv coefficients"]:
     """Draw random series whose velocity spectra decay differently with frequency."""
     rng = np.random.default_rng(search.seed)
     falling = [np.tile(series.frequencies ** -_SPECTRA[i % len(_SPECTRA)], 2) for i in range(search.starts)]

@@ -29,7 +29,7 @@ from frictionzoo.simulation.drive import Drive
 
 
 @dataclass(frozen=True)
-class Excitation:
+class DesignedCommand:
     """A command ready to record.
 
     Attributes:
@@ -50,7 +50,7 @@ class Excitation:
     fps: float
 
 
-def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Excitation:
+def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> DesignedCommand:
     """Design the next command to record.
 
     Args:
@@ -96,7 +96,7 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Excita
     }
     inputs = {"ctrl_velocity": speed} | {name: np.tile(value, (len(ctrl), 1)) for name, value in task.constants.items()}
     commands = {name: inputs[name] for name in task.bench.actuator.commands}
-    return Excitation(motion, commands, series.interval, task.bench.joints, note, plan.points, plan.fps)
+    return DesignedCommand(motion, commands, series.interval, task.bench.joints, note, plan.points, plan.fps)
 
 
 def prepare(request: Request, run: FittedDrive | None) -> Task:

@@ -15,7 +15,7 @@ _NOTHING = 1e-12  # regularisation of the inverse, as a share of each parameter'
 
 
 @dataclass(frozen=True)
-class Noise:
+class SensorNoise:
     """White measurement noise.
 
     Attributes:
@@ -61,7 +61,7 @@ class Information(NamedTuple):
 
 
 def inform(
-    slopes: Float[Array, "segments tangents batch length nv 2"], weights: tuple[float, float], noise: Noise
+    slopes: Float[Array, "segments tangents batch length nv 2"], weights: tuple[float, float], noise: SensorNoise
 ) -> Information:
     """Compute the information of a fit with white noise in all samples.
 

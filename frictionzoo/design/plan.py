@@ -16,8 +16,8 @@ from frictionzoo.core.config import (
     read_value,
 )
 from frictionzoo.core.errors import ConfigError, closest, refuse_outside
-from frictionzoo.design.design import Search
-from frictionzoo.design.information import Noise
+from frictionzoo.design.design import SearchOptions
+from frictionzoo.design.information import SensorNoise
 from frictionzoo.design.series import Series
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -92,8 +92,8 @@ class Request:
     """
 
     plan: Plan
-    noise: Noise
-    search: Search
+    noise: SensorNoise
+    search: SearchOptions
     limits: Mapping[str, Any]
     inputs: Mapping[str, float]
     settings: Mapping[str, Any]
@@ -106,7 +106,7 @@ class Request:
             ConfigError: An option is missing, unknown or invalid.
         """
         remaining = dict(options)
-        plan, noise, search = _take(Plan, remaining), _take(Noise, remaining), _take(Search, remaining)
+        plan, noise, search = _take(Plan, remaining), _take(SensorNoise, remaining), _take(SearchOptions, remaining)
         limits = {name: _parse(name, remaining.pop(name)) for name in (*LIMITS, "home") if name in remaining}
         for name in LIMITS:
             if name not in limits:
@@ -119,7 +119,7 @@ class Request:
 def _settle(options: Mapping[str, str], run: FittedDrive | None) -> dict[str, Any]:
     """Return the settings of the run, or of the chosen configuration files, with these options applied."""
     chosen = {name: value for name, value in options.items() if name in _GROUPS}
-    names = [field.name for part in (Plan, Noise, Search) for field in fields(part)]
+    names = [field.name for part in (Plan, SensorNoise, SearchOptions) for field in fields(part)]
     for name in options:
         if name not in _GROUPS and not f"{name}.".startswith(tuple(f"{option}." for option in _OF_A_RUN)):
             raise ConfigError(

@@ -14,7 +14,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.limits import Motion
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import Signals
-from frictionzoo.design.information import Information, Noise, inform
+from frictionzoo.design.information import Information, SensorNoise, inform
 from frictionzoo.fit import Space
 from frictionzoo.fit.blocks import MOST_STRETCHES
 from frictionzoo.fit.uncertainty import LEVEL
@@ -41,7 +41,7 @@ class Task:
     sampling: Sampling
     length: int
     weights: tuple[float, float]
-    noise: Noise
+    noise: SensorNoise
     vector: Float[np.ndarray, "coordinates"]
     constants: Mapping[str, Float[np.ndarray, "nv"]]
     load: Float[np.ndarray, "load"]

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from frictionzoo.bench.limits import Motion
 from frictionzoo.core.templates import write_yaml
 from frictionzoo.data.signals import Signal
-from frictionzoo.design.excitation import Excitation
+from frictionzoo.design.excitation import DesignedCommand
 
 
 def table(joints: Sequence[str], time: Signal, signals: Mapping[str, Float[np.ndarray, "samples nv"]]) -> bytes:
@@ -52,7 +52,7 @@ def actions(joints: Sequence[str], time: Signal, motion: Motion, fps: float) -> 
     return f'{{"fps": {fps:g}, "actions": [\n{lines}\n]}}\n'.encode()
 
 
-def files_of(designed: Excitation) -> dict[str, bytes]:
+def files_of(designed: DesignedCommand) -> dict[str, bytes]:
     """Write all files of a command; return their content by name."""
     joints, motion = designed.joints, designed.motion
     time = designed.interval * np.arange(len(motion.ctrl))

@@ -36,7 +36,7 @@ FARTHEST, FINEST = 0.5, 0.002  # s, largest delay of a torque in either directio
 ALIKE = 1e-6  # share of the links' torque not explained by inertia, below which a joint counts as unloaded
 
 
-class Balance(NamedTuple):
+class BalanceRows(NamedTuple):
     """Filtered signals of one recording, in rows spread evenly over it.
 
     Attributes:
@@ -60,7 +60,7 @@ class Balance(NamedTuple):
     timestep: float
 
 
-class Explained(NamedTuple):
+class TorqueRegression(NamedTuple):
     """Regression of a joint's torque.
 
     Attributes:
@@ -90,7 +90,7 @@ def commanded_torque(
     return actuator_torque(bench, log, values, qvel)
 
 
-def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
+def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> BalanceRows | None:
     """Return an accepted log's torque balance; None if it is too short to filter or a value is not finite.
 
     `model` is the bench compiled without a friction constraint; the log's load is put into it.
@@ -110,11 +110,11 @@ def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
     rows = np.arange(edge, log.samples - edge, max(1, (log.samples - 2 * edge) // ROWS))
     bench.put_load(model, log.load)
     links = inverse_torque(model, qpos[rows], qvel[rows], qacc[rows])
-    filtered = Balance(torque[rows], links, qvel[rows], qacc[rows], rows, log.time[rows], torque, log.timestep)
+    filtered = BalanceRows(torque[rows], links, qvel[rows], qacc[rows], rows, log.time[rows], torque, log.timestep)
     return filtered if all(np.isfinite(values).all() for values in filtered) else None
 
 
-def explain(found: Balance, joint: int) -> Explained | None:
+def explain(found: BalanceRows, joint: int) -> TorqueRegression | None:
     """Fit the regression of a joint's torque; None if the joint moves too little or in one direction."""
     moving, columns = _passive(found, joint)
     torque, links = found.torque[moving, joint], found.links[moving, joint]
@@ -131,10 +131,10 @@ def explain(found: Balance, joint: int) -> Explained | None:
     index = int(loaded)
     fastest = float(np.quantile(np.abs(torque), 0.99)) / max(abs(float(values[index])), 1e-300)
     numbers = unexplained, float(share), float(error), float(values[index]), float(errors[index])
-    return Explained(*numbers, without_links - unexplained if loaded else 0.0, fastest)
+    return TorqueRegression(*numbers, without_links - unexplained if loaded else 0.0, fastest)
 
 
-def mismatch(found: Balance) -> Float[np.ndarray, "nv"]:
+def mismatch(found: BalanceRows) -> Float[np.ndarray, "nv"]:
     """Return the unexplained variance share of each joint's torque with `share` fixed at 1; 0 if too few rows move."""
     unexplained = np.zeros(found.torque.shape[1])
     for joint in range(len(unexplained)):
@@ -148,7 +148,7 @@ def mismatch(found: Balance) -> Float[np.ndarray, "nv"]:
 
 
 def delayed(
-    found: Balance, joints: Sequence[int], part: slice
+    found: BalanceRows, joints: Sequence[int], part: slice
 ) -> tuple[Float[np.ndarray, "lags"], Float[np.ndarray, "lags"]]:
     """Return lags [s] of the torque and the unexplained variance share for each, mean over `joints`, in rows `part`."""
     rows = found.rows[part]
@@ -175,7 +175,7 @@ def delayed(
     return (steps * found.timestep, unexplained / counted) if counted else (np.zeros(0), np.zeros(0))
 
 
-def _passive(found: Balance, joint: int) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "moving 4"]]:
+def _passive(found: BalanceRows, joint: int) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "moving 4"]]:
     """Return which rows move a joint, and their regression columns of inertia and friction."""
     speed = np.abs(found.qvel[:, joint])
     moving = speed > SLOW * np.quantile(speed, 0.99)

@@ -7,7 +7,7 @@ import numpy as np
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
-from frictionzoo.diagnostics.balance import Balance, Explained, delayed
+from frictionzoo.diagnostics.balance import BalanceRows, TorqueRegression, delayed
 from frictionzoo.diagnostics.findings import Finding, Repair, of_joint, say_sign, turn
 from frictionzoo.diagnostics.lags import WINDOWS, find_drift, find_shift, pick_lag
 
@@ -23,13 +23,13 @@ OFFSETS = ("force_offset", "torque_offset")  # parameters of actuator laws that 
 LEFT = 0.3  # largest unexplained variance share at which time shifts are judged
 
 
-def agrees(one: Explained | None) -> bool:
+def agrees(one: TorqueRegression | None) -> bool:
     """Return whether a joint's torque is known to have the sign and scale of the links' torque."""
     return one is not None and one.error < KNOWN * one.share and 1 / TIMES < one.share < TIMES
 
 
 def check_torque(
-    log: Log, bench: Bench, found: Balance, explained: Sequence[Explained | None], to_position: bool
+    log: Log, bench: Bench, found: BalanceRows, explained: Sequence[TorqueRegression | None], to_position: bool
 ) -> Iterator[Finding]:
     """Check signs, scales and times of an accepted log by its torque balance and each joint's regression.
 
@@ -44,7 +44,7 @@ def check_torque(
                 yield replace(fault, log=log.name, joint=bench.joints[joint])
 
 
-def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[Finding]:
+def _check_joint(bench: Bench, joint: int, one: TorqueRegression, to_position: bool) -> Iterator[Finding]:
     """Check sign and scale of a joint's torque against its links' torque, or its inertia."""
     of = of_joint(bench.joints, joint)
     if any(param.is_identified for name, param in bench.actuator.params.items() if name not in OFFSETS):
@@ -88,7 +88,7 @@ def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[Repair, ...]
     return tuple(Repair(f"bench.actuator.params.{n}.init", rounded, joint, is_factor=True) for n in _name_gains(bench))
 
 
-def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterator[Finding]:
+def _check_inertia(bench: Bench, joint: int, of: str, one: TorqueRegression) -> Iterator[Finding]:
     """Check the inertia of a joint without a load by the acceleration that the torque would give it."""
     slide = bench.joint_type == "slide"
     if one.inertia < 0:
@@ -105,7 +105,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterato
         yield Finding("caution", "inertia", text)
 
 
-def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
+def _check_time(log: Log, found: BalanceRows, explained: Sequence[TorqueRegression | None]) -> Iterator[Finding]:
     """Find a torque command that acts before its time, or later than a drive's delay explains."""
     joints = [joint for joint, regression in enumerate(explained) if regression is not None]
     if not joints:
@@ -122,7 +122,7 @@ def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None])
         yield replace(find_shift("the motion", lag), log=log.name)
 
 
-def _window_lag(found: Balance, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:
+def _window_lag(found: BalanceRows, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:
     lags, misfit = delayed(found, joints, slice(rows[0], rows[-1] + 1))
     lag = pick_lag(lags, misfit) if len(lags) > 2 else None
     return None if lag is None else (float(found.when[rows].mean()), lag)

@@ -17,7 +17,7 @@ from frictionzoo.bench.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
-from frictionzoo.export.base import Difference, Export, Target, measure, register_target
+from frictionzoo.export.base import Deviation, Export, Target, measure, register_target
 from frictionzoo.export.graph import compare
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.export.simulate import Step, simulate, step_with_control
@@ -176,7 +176,7 @@ def _choose_actuator(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[s
     return chosen, remarks
 
 
-def _compare(fitted: FittedDrive, paths: list[Path], reason: str) -> tuple[Difference, ...]:
+def _compare(fitted: FittedDrive, paths: list[Path], reason: str) -> tuple[Deviation, ...]:
     """Compare friction at the recorded states, and rollouts in MuJoCo C; `reason` explains the difference."""
     files = [load_parameters(path) for path in paths]
     bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]

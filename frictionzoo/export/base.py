@@ -19,7 +19,7 @@ from frictionzoo.result.verdict import FAR
 
 
 @dataclass(frozen=True)
-class Difference:
+class Deviation:
     """Absolute difference between the written files, run in their program, and the fitted drive.
 
     Attributes:
@@ -43,7 +43,7 @@ class Export:
     """Files written by a target, their measured differences from the drive, and their limits, a sentence each."""
 
     files: tuple[str, ...]
-    differences: tuple[Difference, ...]
+    differences: tuple[Deviation, ...]
     limits: tuple[str, ...] = ()
 
 
@@ -62,11 +62,11 @@ class Written:
     reason: str = ""
     error: float | None = None
 
-    def share(self, difference: Difference) -> float | None:
+    def share(self, difference: Deviation) -> float | None:
         """Return the mean position difference as a share of the drive's error; None if unknown."""
         return difference.mean / self.error if difference.quantity == "qpos" and self.error else None
 
-    def mark(self, difference: Difference) -> str:
+    def mark(self, difference: Deviation) -> str:
         """Return the mark in a difference's row: empty, or size and reason of a large difference."""
         share = self.share(difference)
         if share is None or share <= FAR:
@@ -122,7 +122,7 @@ def measure(
     expected: Float[np.ndarray, "*shape"],
     over: str | None = None,
     reason: str = "",
-) -> Difference:
+) -> Deviation:
     """Measure the difference between `qpos` or `torque` of the written files and of the fitted drive.
 
     Without `over`, which describes the compared data, these are positions of all long test rollouts, and are also
@@ -132,7 +132,7 @@ def measure(
     all_rollouts = is_position and over is None
     error = float(np.abs(fitted.find_errors(came)).mean()) if all_rollouts else None
     unit = UNITS[fitted.bench.joint_type]["position" if is_position else quantity]
-    return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason, error)
+    return Deviation(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason, error)
 
 
 def match_joint(name: str) -> str:

@@ -15,7 +15,7 @@ from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Difference, Export, Target, measure
+from frictionzoo.export.base import Deviation, Export, Target, measure
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -81,7 +81,7 @@ def list_facts(fitted: FittedDrive) -> dict[str, str]:
     }
 
 
-def compare(fitted: FittedDrive, came: FrictionTerms, how: str) -> Difference:
+def compare(fitted: FittedDrive, came: FrictionTerms, how: str) -> Deviation:
     """Compare the friction torque of terms of shape (samples, nv), computed by `how`, with the model in float64."""
     samples = fitted.samples
     expected = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)

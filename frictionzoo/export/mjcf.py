@@ -12,11 +12,11 @@ import numpy as np
 from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Difference, Export, Target, list_values, measure, register_target
+from frictionzoo.export.base import Deviation, Export, Target, list_values, measure, register_target
 from frictionzoo.export.bench import list_lacks, say_limits, write_bench
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.export.robot import ACTUATORS, Equipped, put_into, say_whole
-from frictionzoo.export.simulate import Place, run_loaded
+from frictionzoo.export.simulate import Indices, run_loaded
 from frictionzoo.export.stand import compare_torque, list_coupled, mount
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -45,7 +45,7 @@ class ModelFile:
     name: str
     content: bytes
     timestep: float
-    difference: Difference | None
+    difference: Deviation | None
     limits: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
@@ -118,7 +118,7 @@ def write_identified(fitted: FittedDrive) -> list[ModelFile]:
 
 def _write_models(
     fitted: FittedDrive, robot: _Robot | None, asked: bool
-) -> tuple[list[ModelFile], tuple[Difference, ...]]:
+) -> tuple[list[ModelFile], tuple[Deviation, ...]]:
     """Write the bench and any robot file, with its torque difference; unless `asked`, a failure becomes a limit."""
     nearest, step = find_nearest(fitted), fitted.timestep
     expected = fitted.predict_origin() if fitted.is_simulated else Prediction(*fitted.rollout())
@@ -140,7 +140,7 @@ def _write_models(
 
 def _write_robot_file(
     fitted: FittedDrive, nearest: Nearest, expected: Prediction, asked: _Robot
-) -> tuple[ModelFile, Difference]:
+) -> tuple[ModelFile, Deviation]:
     """Write a robot file, and run it if it is the recorded robot; also return its torque difference."""
     text, (path, joints, actuators) = write_bench(fitted, nearest), asked
     robot = put_into(path, joints, actuators, fitted, nearest, text)
@@ -159,7 +159,7 @@ def _write_robot_file(
 
 def _play_robot(
     robot: Equipped, fitted: FittedDrive, nearest: Nearest, expected: Prediction, path: Path, bench: str, why: list[str]
-) -> tuple[Difference | None, tuple[str, ...]]:
+) -> tuple[Deviation | None, tuple[str, ...]]:
     if robot.unknown:
         reason = f"MuJoCo does not take the inertia of {name_some(robot.unknown)}, or does not find its mesh"
         return None, (f"It is not played: {reason}.",)
@@ -174,7 +174,7 @@ def _play_robot(
 
 
 def _list_remarks(
-    fitted: FittedDrive, nearest: Nearest, difference: Difference | None, limits: tuple[str, ...]
+    fitted: FittedDrive, nearest: Nearest, difference: Deviation | None, limits: tuple[str, ...]
 ) -> list[str]:
     """List the sentences of a file's comment, except the one on the friction model."""
     return [
@@ -209,8 +209,8 @@ def _say_robot(robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators
 
 
 def play(
-    model: mujoco.MjModel, fitted: FittedDrive, expected: Prediction, why: list[str], place: Place | None = None
-) -> tuple[Difference | None, tuple[str, ...]]:
+    model: mujoco.MjModel, fitted: FittedDrive, expected: Prediction, why: list[str], place: Indices | None = None
+) -> tuple[Deviation | None, tuple[str, ...]]:
     """Run a loaded model over the long test rollouts, and compare it with the drive's rollouts.
 
     Payloads are added to `model`. `why` lists reasons for a difference. Without `place`, the model is the bench's MJCF.
@@ -229,7 +229,7 @@ def play(
     return measure("qpos", fitted, qpos[stable], expected.qpos[stable], over, ", ".join(why)), ()
 
 
-def _is_clipped(model: mujoco.MjModel, fitted: FittedDrive, place: Place) -> bool:
+def _is_clipped(model: mujoco.MjModel, fitted: FittedDrive, place: Indices) -> bool:
     """Return whether the model's actuators clip the recorded commands."""
     actuator, signals = fitted.bench.actuator, fitted.segments.signals
     if actuator.needs_state:
@@ -239,7 +239,7 @@ def _is_clipped(model: mujoco.MjModel, fitted: FittedDrive, place: Place) -> boo
     return bool((model.actuator_ctrllimited[place.actuator] & ((command < low) | (command > high))).any())
 
 
-def _say_difference(fitted: FittedDrive, difference: Difference) -> str:
+def _say_difference(fitted: FittedDrive, difference: Deviation) -> str:
     """Describe the difference of a file from the drive, for the file's comment."""
     prefix = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
     if difference.largest <= EXACT:

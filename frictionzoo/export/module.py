@@ -12,7 +12,7 @@ from frictionzoo.core.errors import ExportError
 from frictionzoo.core.templates import Code, open_template
 from frictionzoo.core.units import UNITS
 from frictionzoo.export.graph import signals
-from frictionzoo.export.source import Source, read_source, write_values
+from frictionzoo.export.source import SourceText, read_source, write_values
 from frictionzoo.models import TorchFriction
 from frictionzoo.result.fitted_drive import FittedDrive
 
@@ -48,7 +48,7 @@ def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **
     model, bench = fitted.model, fitted.bench
     values, large = write_values(fitted.values["friction"])
     law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
-    actuator, shared = read_source(bench.actuator, "control"), Source()
+    actuator, shared = read_source(bench.actuator, "control"), SourceText()
     shared.take(law)
     shared.take(actuator)
     text = render(

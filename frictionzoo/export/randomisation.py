@@ -13,7 +13,7 @@ from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.templates import Code
 from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Difference, Export, Target, match_joint, measure, read_number, register_target
+from frictionzoo.export.base import Deviation, Export, Target, match_joint, measure, read_number, register_target
 from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.configclass import LIMITS
 from frictionzoo.export.module import render
@@ -148,7 +148,7 @@ def write_files(folder: Path, drives: Sequence[Drive]) -> tuple[list[str], tuple
     return [f"{name}{suffix}" for name in names], remarks
 
 
-def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
+def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Deviation, ...], str]:
     fitted = drives[0][0]
     positions = [run_loaded(mujoco.MjModel.from_xml_string(write_bench(*drive)), drive[0]) for drive in drives]
     expected = [fitted.rollout(values=drive.values)[0] for drive, _ in drives]

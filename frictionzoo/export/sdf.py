@@ -17,7 +17,7 @@ from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import (
     DRAKE,
     WORLD,
-    Link,
+    JointedLink,
     build,
     find_free_name,
     list_numbers,
@@ -84,7 +84,7 @@ def write_sdf(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> 
     return write_xml(build("sdf", {"version": _VERSION, "xmlns:drake": DRAKE}, comment, model))
 
 
-def _name_links(links: Sequence[Link]) -> dict[str, str]:
+def _name_links(links: Sequence[JointedLink]) -> dict[str, str]:
     """Choose unique names of links: in SDFormat, unlike MuJoCo, a link and a joint cannot share a name."""
     joints, names = {link.joint for link in links}, {WORLD: WORLD}
     taken = joints | {link.name for link in links}
@@ -100,7 +100,7 @@ def _name_links(links: Sequence[Link]) -> dict[str, str]:
     return names
 
 
-def _load(link: Link, armature: float, fitted: FittedDrive) -> Link:
+def _load(link: JointedLink, armature: float, fitted: FittedDrive) -> JointedLink:
     """Add the armature to a link: to the mass for a slide; for a hinge as a thin disc about the axis."""
     bench = fitted.bench
     if bench.payload is not None:
@@ -122,7 +122,7 @@ def _load(link: Link, armature: float, fitted: FittedDrive) -> Link:
     return link._replace(mass=link.mass + armature)
 
 
-def _write_link(link: Link, names: Mapping[str, str]) -> ET.Element:
+def _write_link(link: JointedLink, names: Mapping[str, str]) -> ET.Element:
     place = {} if link.parent == WORLD else {"relative_to": names[link.parent]}
     entries = {entry: link.inertia["xyz".index(entry[1]), "xyz".index(entry[2])] for entry in _ENTRIES}
     return build(
@@ -134,7 +134,7 @@ def _write_link(link: Link, names: Mapping[str, str]) -> ET.Element:
     )
 
 
-def _write_joint(link: Link, names: Mapping[str, str], armature: float | None) -> ET.Element:
+def _write_joint(link: JointedLink, names: Mapping[str, str], armature: float | None) -> ET.Element:
     parts = [build("parent", names[link.parent]), build("child", names[link.name])]
     if link.kind != "fixed":
         dynamics = build("damping", in_full(link.damping)), build("friction", in_full(link.friction))

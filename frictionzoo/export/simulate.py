@@ -24,7 +24,7 @@ Step = Callable[[mujoco.MjModel, mujoco.MjData, Signals], None]
 
 
 @dataclass(frozen=True)
-class Place:
+class Indices:
     """Indices of the identified joints' positions, velocities, commands and actuators in a model.
 
     Attributes:
@@ -40,7 +40,7 @@ class Place:
     put_load: Callable[[mujoco.MjModel, Float[np.ndarray, "load"]], None]
 
     @classmethod
-    def of_bench(cls, fitted: FittedDrive) -> "Place":
+    def of_bench(cls, fitted: FittedDrive) -> "Indices":
         """Return the indices for the bench's MJCF, which has only these joints, without offset."""
         joints = np.arange(fitted.bench.nv)
         return cls(joints, joints, joints, joints, np.zeros(fitted.bench.nv), fitted.bench.put_load)
@@ -52,7 +52,7 @@ def simulate(
     step: Step,
     prepare: Callable[[mujoco.MjModel, mujoco.MjData, int], None] = lambda *_: None,
     late: bool = True,
-    place: Place | None = None,
+    place: Indices | None = None,
 ) -> Float[np.ndarray, "batch time nv"]:
     """Simulate the long test rollouts with the model's time step.
 
@@ -62,7 +62,7 @@ def simulate(
     Returns:
         Positions after each sample, without `Place.offset`; NaN in rollouts that diverge according to MuJoCo.
     """
-    segments, place = fitted.segments, Place.of_bench(fitted) if place is None else place
+    segments, place = fitted.segments, Indices.of_bench(fitted) if place is None else place
     timestep = float(model.opt.timestep)
     signals = _act(fitted, timestep, late)
     qpos = np.empty((segments.count, segments.length, fitted.bench.nv))
@@ -155,7 +155,7 @@ def step_with_control(fitted: FittedDrive) -> Step:
 def run_loaded(
     model: mujoco.MjModel,
     fitted: FittedDrive,
-    place: Place | None = None,
+    place: Indices | None = None,
     begin: Callable[[mujoco.MjData, int], None] = lambda *_: None,
     late: bool | None = None,
 ) -> Float[np.ndarray, "batch time nv"]:
@@ -167,7 +167,7 @@ def run_loaded(
     `begin` is called with a rollout's number before it begins. `late` states whether the caller delays the commands;
     None: only if the actuator model needs the state. Without `place`, the model is the bench's MJCF.
     """
-    place = Place.of_bench(fitted) if place is None else place
+    place = Indices.of_bench(fitted) if place is None else place
     law, values = fitted.bench.actuator, fitted.values["bench"]
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:

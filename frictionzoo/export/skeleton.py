@@ -22,7 +22,7 @@ WORLD = "world"
 DRAKE = "http://drake.mit.edu"
 
 
-class Link(NamedTuple):
+class JointedLink(NamedTuple):
     """A link and the joint that holds it.
 
     Attributes:
@@ -53,7 +53,7 @@ class Link(NamedTuple):
     friction: float
 
 
-def read_links(fitted: FittedDrive, nearest: Nearest) -> list[Link]:
+def read_links(fitted: FittedDrive, nearest: Nearest) -> list[JointedLink]:
     """Read the links of the bench, with MuJoCo's joint friction.
 
     Raises:
@@ -80,7 +80,7 @@ def find_free_name(name: str, taken: set[str]) -> str:
     return name
 
 
-def _read_link(model: mujoco.MjModel, body: int, names: Sequence[str], fixed: str) -> Link:
+def _read_link(model: mujoco.MjModel, body: int, names: Sequence[str], fixed: str) -> JointedLink:
     parent, joint = int(model.body_parentid[body]), int(model.body_jntadr[body])
     rotation = Rotation.from_quat(model.body_quat[body], scalar_first=True)
     axes = Rotation.from_quat(model.body_iquat[body], scalar_first=True).as_matrix()
@@ -91,7 +91,7 @@ def _read_link(model: mujoco.MjModel, body: int, names: Sequence[str], fixed: st
         dof = model.jnt_dofadr[joint]
         friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
         joint_fields = (model.joint(joint).name, kind, model.jnt_axis[joint], *friction)
-    return Link(
+    return JointedLink(
         *(names[body], names[parent]),
         model.body_pos[body] - _anchor(model, parent) + rotation.apply(anchor),
         rotation.as_euler("xyz"),

@@ -25,7 +25,7 @@ _MODULES: Mapping[ModuleType, str] = {np: "numpy", math: "math"}
 
 
 @dataclass
-class Source:
+class SourceText:
     """Source text of an object's methods and all dependencies, by name.
 
     Attributes:
@@ -40,7 +40,7 @@ class Source:
     methods: dict[str, str] = field(default_factory=dict)
     attributes: dict[str, str] = field(default_factory=dict)
 
-    def take(self, other: "Source") -> None:
+    def take(self, other: "SourceText") -> None:
         """Add imports and functions of another source.
 
         Raises:
@@ -58,13 +58,13 @@ class Source:
         return Code(f"class {name}:\n" + textwrap.indent("\n\n".join(body), 4 * " ") + "\n")
 
 
-def read_source(owner: Any, *methods: str) -> Source:
+def read_source(owner: Any, *methods: str) -> SourceText:
     """Read the source of methods of a friction or actuator model.
 
     Raises:
         ExportError: A method needs something that cannot be written as text: another package, a closure, an object.
     """
-    source = Source()
+    source = SourceText()
     for method in methods:
         _add_method(source, owner, method)
     return source
@@ -79,7 +79,7 @@ def write_values(values: Mapping[str, Float[np.ndarray, "..."]]) -> tuple[Code, 
     return Code("\n".join(["{", *lines, "}"])), large
 
 
-def _add_method(source: Source, owner: Any, name: str) -> None:
+def _add_method(source: SourceText, owner: Any, name: str) -> None:
     if name in source.methods:
         return
     function = inspect.unwrap(getattr(type(owner), name))
@@ -96,7 +96,7 @@ def _add_method(source: Source, owner: Any, name: str) -> None:
     _add_globals(source, function, tree)
 
 
-def _add_laws(source: Source, laws: Sequence[FrictionModel]) -> str:
+def _add_laws(source: SourceText, laws: Sequence[FrictionModel]) -> str:
     """Add a class for each contained model; return the text of a tuple with an object of each."""
     names = []
     for number, law in enumerate(laws, 1):
@@ -129,7 +129,7 @@ def _own_attributes(tree: ast.FunctionDef) -> set[str]:
     }
 
 
-def _add_globals(source: Source, function: FunctionType, tree: ast.FunctionDef) -> None:
+def _add_globals(source: SourceText, function: FunctionType, tree: ast.FunctionDef) -> None:
     body = (node for statement in tree.body for node in ast.walk(statement))  # annotations are not evaluated
     for name in dict.fromkeys(node.id for node in body if isinstance(node, ast.Name)):
         if name not in function.__globals__ or name in source.functions or name in source.imports:
@@ -143,7 +143,7 @@ def _add_globals(source: Source, function: FunctionType, tree: ast.FunctionDef) 
             source.functions[name] = f"{name} = {_write_attribute(function.__qualname__, name, value)}"
 
 
-def _add_function(source: Source, name: str, function: Any) -> None:
+def _add_function(source: SourceText, name: str, function: Any) -> None:
     text, tree = _read(function)
     if function.__name__ != name:
         raise ExportError(f"{name}: another name of the function {function.__name__}, expected its own; use that")

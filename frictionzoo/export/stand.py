@@ -13,10 +13,10 @@ from frictionzoo.bench.inertia import inertial_parameters, put_parameters
 from frictionzoo.bench.robot_file.actuators import AT_JOINT, list_at
 from frictionzoo.bench.robot_file.source import load
 from frictionzoo.core.state import DriveState
-from frictionzoo.export.base import Difference, measure
+from frictionzoo.export.base import Deviation, measure
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.robot import Equipped, meant, offset_of, say_joints
-from frictionzoo.export.simulate import Place, equip
+from frictionzoo.export.simulate import Indices, equip
 from frictionzoo.result.fitted_drive import FittedDrive
 
 _STATES = 200  # number of recorded states for the torque comparison
@@ -26,7 +26,7 @@ _OFF = mujoco.mjtDisableBit
 
 def mount(
     robot: Equipped, fitted: FittedDrive, nearest: Nearest, path: Path, bench: str
-) -> tuple[mujoco.MjModel, Place]:
+) -> tuple[mujoco.MjModel, Indices]:
     """Put a robot's file with the drive on the test stand of the recordings; return the model and its joint indices.
 
     Time step, integrator, solver, joints and actuators are the file's. As in the bench, the base and the joints that
@@ -61,7 +61,7 @@ def mount(
         put_parameters(model, model.body(name).id, carried + added[0])
 
     indices = model.jnt_qposadr[joints], dof, model.actuator_ctrladr[actuators], actuators
-    return model, Place(*indices, offset_of(fitted), put_load)
+    return model, Indices(*indices, offset_of(fitted), put_load)
 
 
 def list_coupled(robot: Equipped) -> list[str]:
@@ -85,7 +85,7 @@ def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
 
 def compare_torque(
     robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators: bool
-) -> tuple[Difference, tuple[str, ...]]:
+) -> tuple[Deviation, tuple[str, ...]]:
     """Compare the torque of the file's actuators and damping with the drive's, in MuJoCo C at recorded states.
 
     Without identified `actuators`, compare only the damping. Also return a sentence if limits of the robot contribute.

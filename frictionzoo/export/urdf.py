@@ -15,7 +15,7 @@ from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
-from frictionzoo.export.skeleton import DRAKE, WORLD, Link, build, list_numbers, read_links, run_links, say_lacks
+from frictionzoo.export.skeleton import DRAKE, WORLD, JointedLink, build, list_numbers, read_links, run_links, say_lacks
 from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.urdf"
@@ -60,7 +60,7 @@ def write_urdf(fitted: FittedDrive, nearest: Nearest, drives: list[Motor]) -> st
     return write_xml(root)
 
 
-def _write_link(link: Link) -> tuple[ET.Element, ET.Element]:
+def _write_link(link: JointedLink) -> tuple[ET.Element, ET.Element]:
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": in_full(link.inertia[i, j]) for i in range(3) for j in range(i, 3)}
     inertial = build(
         *("inertial", build("origin", {"xyz": list_numbers(link.com), "rpy": "0 0 0"})),

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from frictionzoo.core.threads import usable_threads
 from frictionzoo.fit.blocks import Blocks, each_part, measured_states, to_numpy, without_motion
 from frictionzoo.fit.loss import Loss, bend
-from frictionzoo.fit.shooting import Begun, Equations, Local, Mixed, Shooting, StateSearch, follow, join_equations
+from frictionzoo.fit.shooting import Equations, Local, Mixed, SearchStart, Shooting, StateSearch, follow, join_equations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulation import Values
@@ -145,7 +145,7 @@ class Residuals:
 
 def compile_equations(
     residuals: Residuals, data: Blocks, start: Array, exact: bool
-) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
+) -> Callable[[Array, Blocks, SearchStart | None], tuple[Any, ...]]:
     """Compile the function for loss, gradient by stretch, Hessian, and next start of initial states or None.
 
     Each trial of initial states is a pass over all blocks with all derivatives. `start` is the initial vector, on all
@@ -165,7 +165,7 @@ def compile_equations(
             return join_equations(list(parts))
 
     @jax.jit
-    def begin(vector: Array, begun: Begun, data: Blocks) -> tuple[Array, Array]:
+    def begin(vector: Array, begun: SearchStart, data: Blocks) -> tuple[Array, Array]:
         trial = shooting.predict(begun, vector)
         return trial, shooting.states_together(trial, data)
 
@@ -175,7 +175,7 @@ def compile_equations(
         trial, best = (shooting.states_together(state, data) for state in search[:2])
         return search, trial, best
 
-    def evaluate(vector: Array, data: Blocks, begun: Begun | None) -> tuple[Any, ...]:
+    def evaluate(vector: Array, data: Blocks, begun: SearchStart | None) -> tuple[Any, ...]:
         host = without_motion(data)
         if not residuals.loss.refine:
             return *to_numpy(finish(equations(vector, data, measured_states(data.qpos, data.qvel)), host)[:3]), None
@@ -196,7 +196,7 @@ def compile_equations(
             system = system if np.array_equal(tried, best) else equations(vector, data, best)
             states = best
         *sums, slopes = finish(system, host)
-        return *to_numpy(sums), Begun(*map(np.asarray, (states, vector, slopes, system.loss)))
+        return *to_numpy(sums), SearchStart(*map(np.asarray, (states, vector, slopes, system.loss)))
 
     return evaluate
 

@@ -13,7 +13,7 @@ from frictionzoo.bench.base_parameters import BaseParameters, find_base_paramete
 from frictionzoo.bench.inertia import COORDINATES, SYMBOLS, from_parameters
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.fit.tilt import Tilt, Tilted
-from frictionzoo.fit.torque_balance import Balance, Links, append_links, balance, invert
+from frictionzoo.fit.torque_balance import BalanceSolution, FreeLinks, append_links, balance, invert
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 DETERMINED = 1 / 3
@@ -128,7 +128,7 @@ def identify_links(
     """
     bodies = choose_bodies(model, patterns)
     names = tuple(model.body(body).name for body in bodies)
-    links = Links.of(equation, bodies, spread_of(prior)) if bodies else None
+    links = FreeLinks.of(equation, bodies, spread_of(prior)) if bodies else None
     balanced = balance(equation, links)
     base, scale = _base(equation, balanced, links, names)
     values = np.concatenate([equation.physical(balanced.vector), balanced.bodies.ravel()])
@@ -142,7 +142,7 @@ def identify_links(
 
 
 def _base(
-    equation: TorqueEquation, found: Balance, links: Links | None, names: Sequence[str]
+    equation: TorqueEquation, found: BalanceSolution, links: FreeLinks | None, names: Sequence[str]
 ) -> tuple[BaseParameters, Float[np.ndarray, "all"]]:
     """Return the base parameters of the recordings, and the derivative of physical values by coordinates."""
     columns = append_links(equation.slope(found.vector), links)
@@ -154,7 +154,7 @@ def _base(
     return find_base_parameters(rows, labels), scale
 
 
-def _spreads(base: BaseParameters, links: Links | None, size: int) -> Float[np.ndarray, "base"]:
+def _spreads(base: BaseParameters, links: FreeLinks | None, size: int) -> Float[np.ndarray, "base"]:
     if links is None:
         return np.full(len(base.matrix), np.inf)
     scaled: Any = links.around.slopes(np.zeros_like(links.spread)) * links.spread[:, None, :]

@@ -18,7 +18,7 @@ _ALIKE = 1e-2  # relative difference up to which two losses count as equal
 _SLACK = 30.0  # multiples of the floating-point precision below which a change of the loss is rounding
 
 
-class State(NamedTuple):
+class SolverState(NamedTuple):
     """Record of all vectors tried, from which the solver's next vector follows.
 
     Attributes:
@@ -80,7 +80,7 @@ class LevenbergMarquardt(Fit):
         """See `Fit.init`."""
         start = np.asarray(objective.space.start, np.float64)
         equations = np.zeros(self._iterations), *(np.zeros((self._iterations, *[len(start)] * axes)) for axes in (1, 2))
-        state = State(np.asarray(0), start, np.asarray(False), *equations, begun=objective.begun)
+        state = SolverState(np.asarray(0), start, np.asarray(False), *equations, begun=objective.begun)
         asked = _ask(objective, state, self._tolerance).asked
         return start, state._replace(asked=asked)
 
@@ -96,7 +96,7 @@ class LevenbergMarquardt(Fit):
         begun = result.begun if is_near(result.loss, least) else state.begun
         for part, value in zip(equations, result[:3], strict=True):
             part[row] = value
-        following = State(np.asarray(row + 1), state.asked, state.ended, *equations, begun=begun)
+        following = SolverState(np.asarray(row + 1), state.asked, state.ended, *equations, begun=begun)
         following = following if diverged else _ask(objective, following, self._tolerance)
         return Evaluation(result.loss, 2 * result.gradient, diverged), following.asked, following
 
@@ -134,7 +134,7 @@ class _AskedError(Exception):
     """Request of the solver for a vector that has not been tried."""
 
 
-def _ask(objective: Objective, state: State, tolerance: float) -> State:
+def _ask(objective: Objective, state: SolverState, tolerance: float) -> SolverState:
     """Return the state with the next vector of scipy's solver, or with the mark that it has ended.
 
     The solver cannot be paused. It runs again from the start on the recorded results, a fraction of a millisecond per

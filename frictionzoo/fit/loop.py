@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Record:
+class FitFiles:
     """Record of a fit on disk, for viewers and for resuming the fit after an interruption.
 
     Attributes:
@@ -54,7 +54,7 @@ def run_fit(
     fit: Fit,
     objective: Objective,
     model: FrictionModel,
-    record: Record | None = None,
+    record: FitFiles | None = None,
     *,
     chunk: int = 25,
     patience: int | None = None,
@@ -135,7 +135,7 @@ class _ProgressBar(pl.Callback):
             self._bar.close()
 
 
-def _train(module: FitModule, record: Record | None, checkpoint: Path | None, progress: bool) -> None:
+def _train(module: FitModule, record: FitFiles | None, checkpoint: Path | None, progress: bool) -> None:
     folder = record.folder if record else Path()
     callbacks: list[pl.Callback] = [_Saver(record.folder / "checkpoints" / CHECKPOINT)] if record else []
     limits = module.objective.space.limits()

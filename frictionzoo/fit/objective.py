@@ -18,7 +18,7 @@ from frictionzoo.fit.equations import Residuals, compile_equations
 from frictionzoo.fit.loss import Loss, count_terms, is_moving, mean_squares, rigid_inertia_of
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.normal_equations import Evaluate, NormalEquations, Scores
-from frictionzoo.fit.shooting import Begun
+from frictionzoo.fit.shooting import SearchStart
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulation.bridge import as_torch_function, to_arrays, to_tensors
@@ -77,7 +77,7 @@ class Objective:
         self.recordings: Recordings | None = None
         self._programs: dict[Any, Any] = {}  # compiled equations, which the evaluation uses again
         self.sizes: np.ndarray | None = None
-        self._begun: Begun | None = None
+        self._begun: SearchStart | None = None
         self._wider: tuple[Objective, np.ndarray, np.ndarray] | None = None
         self._correction: tuple[Array, Array] | None = None  # added to measured states
         self._sparsity = Sparsity.of(space, rollout.branches)
@@ -98,7 +98,7 @@ class Objective:
         return other
 
     @property
-    def begun(self) -> Begun | None:
+    def begun(self) -> SearchStart | None:
         """Start of the search for initial states with their derivatives; None where they are not estimated."""
         if not self._loss.refine:
             return None
@@ -107,19 +107,19 @@ class Objective:
         objective, vector = self._whole(self.space.start)
         sparsity, states = objective._sparsity, np.asarray(self.data.begun, np.float64)
         slopes = np.zeros((len(sparsity.joints), self.data.weight.size, len(sparsity.states), len(sparsity.seeds)))
-        return Begun(states, vector, slopes, np.asarray(np.inf))
+        return SearchStart(states, vector, slopes, np.asarray(np.inf))
 
     @property
     def timestep(self) -> float:
         """Time step of the simulation whose normal equations are compiled [s]."""
         return self._whole(self.space.start)[0].space.bench.timestep
 
-    def beginning(self, begun: Begun | Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
+    def beginning(self, begun: SearchStart | Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
         """Return this objective with another start for the search for initial states; None changes nothing."""
         if begun is None:
             return self
         other, like = copy.copy(self), self.data.begun
-        other._begun, states = (begun, begun.states) if isinstance(begun, Begun) else (None, begun)
+        other._begun, states = (begun, begun.states) if isinstance(begun, SearchStart) else (None, begun)
         other.data = self.data._replace(begun=jax.device_put(np.asarray(states, like.dtype), like.sharding))
         return other
 

@@ -52,7 +52,7 @@ class Mixed(NamedTuple):
     gap: Float[Array, "branches segments state tangents"]
 
 
-class Begun(NamedTuple):
+class SearchStart(NamedTuple):
     """Start of a search for initial states.
 
     Attributes:
@@ -158,7 +158,9 @@ class Shooting(NamedTuple):
         """Return states of shape (blocks, segments, twice nv) by branch."""
         return self.sparsity.states_by_branch(jnp.asarray(states).reshape(-1, states.shape[2]))
 
-    def predict(self, begun: Begun, vector: Float[Array, "coordinates"]) -> Float[Array, "branches segments state"]:
+    def predict(
+        self, begun: SearchStart, vector: Float[Array, "coordinates"]
+    ) -> Float[Array, "branches segments state"]:
         """Extrapolate the best states to another vector by their slopes."""
         change = jnp.append(vector - begun.vector, jnp.zeros(1, vector.dtype))[self.sparsity.place]
         return self.by_branch(begun.states) + jnp.einsum("bsit,bt->bsi", begun.slopes, change)

@@ -17,7 +17,7 @@ from frictionzoo.simulation import Values
 from frictionzoo.simulation.bridge import to_jax
 
 
-class Place(NamedTuple):
+class Coordinates(NamedTuple):
     """Relation between the joints and the coordinates of a physical parameter.
 
     Attributes:
@@ -82,7 +82,7 @@ class Space:
         specs |= {f"friction.{name}": param for name, param in model.params.items()}
         self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.is_identified}
         free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
-        self.places: dict[str, Place] = {
+        self.places: dict[str, Coordinates] = {
             name: _place(name, param, bench, np.asarray(self._get(self._values, name)))
             for name, param in self.params.items()
         }
@@ -230,7 +230,7 @@ class Space:
         return values[owner][key]
 
 
-def _place(name: str, param: Param, bench: Bench, values: Float[np.ndarray, "nv"]) -> Place:
+def _place(name: str, param: Param, bench: Bench, values: Float[np.ndarray, "nv"]) -> Coordinates:
     groups, nv, members = bench.groups(param), bench.nv, param.members(bench.nv)
     free = np.flatnonzero(param.each("identify", nv))
     numbers: dict[str, int] = {}
@@ -246,4 +246,4 @@ def _place(name: str, param: Param, bench: Bench, values: Float[np.ndarray, "nv"
                 raise ConfigError(
                     f"{name}.{key}: {clash}, which share a value ({tie}); expected the same, or another tie"
                 )
-    return Place(np.array(members), free, group, first, tuple(numbers))
+    return Coordinates(np.array(members), free, group, first, tuple(numbers))

@@ -9,7 +9,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.motion import Filtering, Motion, Recordings
 from frictionzoo.fit.space import Box, Space
-from frictionzoo.fit.torque_balance import Balance
+from frictionzoo.fit.torque_balance import BalanceSolution
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 STEEPEST = 0.2
@@ -103,7 +103,7 @@ class Tilted(TorqueEquation):
         """See `TorqueEquation.physical`; gravity in m/s^2."""
         return np.append(super().physical(vector[:-2]), np.linalg.norm(self._at.maker) * vector[-2:])
 
-    def tilt(self, found: Balance) -> Tilt:
+    def tilt(self, found: BalanceSolution) -> Tilt:
         """Return the tilt that the least squares found."""
         return Tilt(self._at.maker, self._at.across, found.vector[-2:], found.errors[-2:])
 

@@ -23,7 +23,7 @@ _TOLERANCE = 1e-7  # least predicted decrease, as a share of the loss: a hundred
 
 
 @dataclass(frozen=True)
-class Links:
+class FreeLinks:
     """Bodies whose inertia is identified together with the drives' parameters.
 
     Attributes:
@@ -37,7 +37,7 @@ class Links:
     spread: Float[np.ndarray, "bodies 10"]
 
     @classmethod
-    def of(cls, equation: TorqueEquation, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> "Links":
+    def of(cls, equation: TorqueEquation, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> "FreeLinks":
         """Return torque regressor and prior of bodies; `spread` are standard deviations of a body's coordinates."""
         model = equation.bench.compile(constraint=False)
         regressor = np.concatenate([inertial_regressor(model, bodies, *motion) for motion in equation.motions])
@@ -80,7 +80,7 @@ class Links:
 
 
 @dataclass(frozen=True)
-class Balance:
+class BalanceSolution:
     """Result of the weighted least squares.
 
     Attributes:
@@ -105,7 +105,7 @@ class Balance:
 
 
 def append_links(
-    slopes: Float[np.ndarray, "rows nv coordinates"], links: Links | None
+    slopes: Float[np.ndarray, "rows nv coordinates"], links: FreeLinks | None
 ) -> Float[np.ndarray, "rows nv all"]:
     """Return derivatives of the residual torque, extended by those with respect to the links' parameters."""
     if links is None:
@@ -126,7 +126,7 @@ def invert(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return covariance
 
 
-def balance(equation: TorqueEquation, links: Links | None = None) -> Balance:
+def balance(equation: TorqueEquation, links: FreeLinks | None = None) -> BalanceSolution:
     """Minimise the residual torque, with each joint weighted by the inverse deviation of its residual.
 
     Least squares repeats with the deviations of the previous residuals until the weights converge. For models that are
@@ -153,7 +153,7 @@ def balance(equation: TorqueEquation, links: Links | None = None) -> Balance:
     information, prior = (
         part.hessian for part in (unknowns.measured(box.start, sigma), unknowns.prior(box.start, whole=False))
     )
-    return Balance(*unknowns.split(box.start), unknowns.residual(box.start), sigma, information, prior)
+    return BalanceSolution(*unknowns.split(box.start), unknowns.residual(box.start), sigma, information, prior)
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class _Unknowns:
     """
 
     equation: TorqueEquation
-    links: Links | None
+    links: FreeLinks | None
 
     @property
     def box(self) -> Box:

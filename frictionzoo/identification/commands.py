@@ -20,7 +20,7 @@ from frictionzoo.identification.problem import Problem
 from frictionzoo.models import TorchFriction
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.sees import SEES, observe, simpler_law, suggest_law
-from frictionzoo.result.section_types import Command, Residual
+from frictionzoo.result.section_types import Residual, SuggestedCommand
 
 FIRST_LAW = "mujoco_default"  # suggested if no other model is
 TARGET = "mjcf"
@@ -67,7 +67,7 @@ class Origin:
 
 def suggest_commands(
     problem: Problem, values: Mapping[str, Any], residual: Residual | None, origin: Origin
-) -> list[Command]:
+) -> list[SuggestedCommand]:
     """Return commands for a shell; the verdict may still drop some.
 
     Args:
@@ -91,7 +91,7 @@ def suggest_commands(
     else:
         found["inspect"] += "  # no command can be designed for this drive; record the motion that is missing"
     found["export"] = f"python -m frictionzoo.export {origin.place} target={TARGET}"
-    return [Command(kind, command) for kind, command in found.items()]
+    return [SuggestedCommand(kind, command) for kind, command in found.items()]
 
 
 def _list_repairs(problem: Problem) -> list[Repair]:

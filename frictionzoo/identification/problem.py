@@ -23,7 +23,7 @@ from frictionzoo.fit.start import begin_where
 from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.pilot import Pilot
 from frictionzoo.identification.recipe import Parts
-from frictionzoo.result.evaluate import Evaluation
+from frictionzoo.result.evaluate import Evaluator
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.record import describe_data
 from frictionzoo.result.torque import choose_filtering
@@ -55,7 +55,7 @@ class Problem:
     doubts: list[Finding]
     sampling: Sampling
     segments: Segments
-    evaluation: Evaluation
+    evaluation: Evaluator
     drive: Drive
     proof: Proof
     samples: DriveState
@@ -99,7 +99,7 @@ class Problem:
         dataset = bench.accept_all(parts.dataset) if links else accepted
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
-        evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
+        evaluation = Evaluator(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
         choose_filtering(fit, evaluation.torque)  # refuses an invalid filter before the fit
         drive = Drive.assemble(bench, model, settings["engine"], sampling)
         proof = prove(bench, model, drive.engine.name, initial_values(bench, model), Recorded.of(dataset.train))

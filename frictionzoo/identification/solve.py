@@ -19,7 +19,7 @@ from frictionzoo.core.telling import tell
 from frictionzoo.data.cache import cache_folder
 from frictionzoo.fit import Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.base import Fit
-from frictionzoo.fit.loop import Record
+from frictionzoo.fit.loop import FitFiles
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.posterior import Fitted
 from frictionzoo.fit.uncertainty import Uncertainty
@@ -49,7 +49,7 @@ MOVING_BLINDLY = 0.01  # of its value, if it has no interval
 
 
 def solve(
-    problem: Problem, name: str, device: str, *, record: Record | None = None, origin: Origin | None = None
+    problem: Problem, name: str, device: str, *, record: FitFiles | None = None, origin: Origin | None = None
 ) -> FittedDrive:
     """Identify a drive, in the `computing` context in which the problem was built.
 

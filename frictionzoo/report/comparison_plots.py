@@ -26,14 +26,14 @@ from frictionzoo.report.figure import (
     scale_errors,
     scale_values,
 )
-from frictionzoo.report.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above, say_where
+from frictionzoo.report.rollouts import RUNAWAY, SimulatedDrive, draw_errors, draw_motion, say_above, say_where
 from frictionzoo.report.run_plots import COLUMNS, REPORTED
 from frictionzoo.report.text import format_digits, format_number, format_unit, say_origin, wrap
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
 from frictionzoo.result.comparison.types import Comparison, Pair
 from frictionzoo.result.names import pick_value, place_between_bounds
-from frictionzoo.result.types import Metrics, Parameter
+from frictionzoo.result.types import Metrics, ParameterRecord
 
 # Seven dash patterns and six colours: each combination occurs once in 42 runs, and neighbours differ in both.
 _BROKEN: tuple[Dash, ...] = ((6.0, 2.0, 1.2, 2.0), (3.5, 1.3, 1.2, 1.3, 1.2, 1.3), (9.0, 3.0), (2.4, 3.5))
@@ -172,7 +172,7 @@ def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
     return marks
 
 
-def _identified(run: Run) -> dict[str, Parameter]:
+def _identified(run: Run) -> dict[str, ParameterRecord]:
     """Return the identified parameters that have a history, by their names in it."""
     parameters = {f"{parameter.owner}.{parameter.name}": parameter for parameter in run.result.parameters}
     return {key: value for key, value in parameters.items() if value.identified and key in run.curves.history}
@@ -190,9 +190,9 @@ def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[
         yield Figure(f"Trajectory of {name}", text, panels, time=True)
 
 
-def _list_drives(comparison: Comparison, runs: Sequence[Run]) -> list[Drive]:
+def _list_drives(comparison: Comparison, runs: Sequence[Run]) -> list[SimulatedDrive]:
     looks, reference = _looks(comparison), comparison.reference
-    return [Drive(run.curves, looks[run.label], reference=run.label == reference) for run in runs]
+    return [SimulatedDrive(run.curves, looks[run.label], reference=run.label == reference) for run in runs]
 
 
 def _plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:

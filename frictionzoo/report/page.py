@@ -18,7 +18,7 @@ from frictionzoo.report.colors import DARK
 from frictionzoo.report.figure import Figure
 from frictionzoo.report.text import format_change, format_number, format_share, format_unit, say_origin
 from frictionzoo.result.names import label_values, merge_known, place_between_bounds, read_values
-from frictionzoo.result.types import Parameter, Value
+from frictionzoo.result.types import ParameterRecord, Value
 
 
 def render_page(
@@ -65,7 +65,7 @@ def pack_library(path: str) -> str:
     return pack(resources.files("frictionzoo.report").joinpath(*path.split("/")).read_text(encoding="utf-8"))
 
 
-def _overview(parameter: Parameter) -> dict[str, Any]:
+def _overview(parameter: ParameterRecord) -> dict[str, Any]:
     """Summarise a parameter of several joints in one line: mean or range, and doubtful values."""
     rows, first_row = [row for row in parameter.by_joint if row.identified], parameter.by_joint[0]
     values = read_values(parameter)
@@ -90,7 +90,7 @@ def _place(row: Value, value: float) -> float:
     return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
 
 
-def _say_certainty(parameters: Sequence[Parameter]) -> str:
+def _say_certainty(parameters: Sequence[ParameterRecord]) -> str:
     """Return a sentence with the identifiable values of the widest and narrowest relative interval; empty for none."""
     rows = {label: row for p in parameters for label, row in label_values(p).items() if row.identified}
     width = {

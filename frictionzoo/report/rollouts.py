@@ -21,7 +21,7 @@ _SIGNALS = (("qpos", "position", 3.0), ("qvel", "velocity", 2.0))
 
 
 @dataclass(frozen=True)
-class Drive:
+class SimulatedDrive:
     """Simulated drive in one long test rollout.
 
     Attributes:
@@ -60,7 +60,9 @@ def say_where(data: Data, curves: Curves, rollout: int) -> str:
     return f"{names[int(curves.recording[rollout])]} from {curves.begins[rollout]:.4g} s on"
 
 
-def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Sequence[str]) -> tuple[Panel, Panel]:
+def draw_motion(
+    drives: Sequence[SimulatedDrive], joint: int, timestep: float, units: Sequence[str]
+) -> tuple[Panel, Panel]:
     """Return panels of measured and simulated position and velocity of one joint, in these units.
 
     On paper, an inset magnifies the stretch where the drives with friction differ most. All drives follow the same
@@ -80,7 +82,9 @@ def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Seq
     return panels[0], panels[1]
 
 
-def draw_errors(shown: Sequence[Sequence[Drive]], timestep: float, window: float, unit: str) -> Iterator[Panel]:
+def draw_errors(
+    shown: Sequence[Sequence[SimulatedDrive]], timestep: float, window: float, unit: str
+) -> Iterator[Panel]:
     """Yield panels with moving mean +- one standard deviation of the absolute position error, on one scale.
 
     `shown` has the drives of each panel, under the same command; `timestep` and the moving `window` are in s.
@@ -95,7 +99,7 @@ def draw_errors(shown: Sequence[Sequence[Drive]], timestep: float, window: float
 
 
 def _draw_errors(
-    drives: Sequence[Drive], timestep: float, window: float
+    drives: Sequence[SimulatedDrive], timestep: float, window: float
 ) -> tuple[list[Mark], list[np.ndarray], list[np.ndarray]]:
     """Return marks of a rollout's errors, the moving means, and the upper ends of their bands."""
     marks: list[Mark] = []

@@ -24,7 +24,7 @@ from frictionzoo.result.types import (
     FitRecord,
     JointErrors,
     Metrics,
-    Parameter,
+    ParameterRecord,
     PartMetrics,
     Result,
     Timing,
@@ -161,7 +161,7 @@ class _StartedValue(Value):
     start: float
 
 
-def _add_starts(parameter: Parameter, joints: list[str], curves: Curves) -> Parameter:
+def _add_starts(parameter: ParameterRecord, joints: list[str], curves: Curves) -> ParameterRecord:
     if (course := curves.history.get(f"{parameter.owner}.{parameter.name}")) is None:
         return parameter
     start = dict(zip(joints, np.ravel(course[0]).tolist(), strict=False))
@@ -377,7 +377,7 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
     return joints
 
 
-def _doubt_value(parameter: Parameter, value: Value) -> str:
+def _doubt_value(parameter: ParameterRecord, value: Value) -> str:
     doubt = "at a bound" if value.at_bound else "not identifiable" if value.identifiable is False else ""
     return f"{parameter.name} {doubt}" if doubt else ""
 

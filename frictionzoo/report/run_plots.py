@@ -14,7 +14,7 @@ from frictionzoo.core.units import UNITS
 from frictionzoo.report import with_matplotlib
 from frictionzoo.report.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
 from frictionzoo.report.figure import Axis, Band, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values
-from frictionzoo.report.rollouts import Drive, draw_errors, draw_motion, say_where
+from frictionzoo.report.rollouts import SimulatedDrive, draw_errors, draw_motion, say_where
 from frictionzoo.report.text import format_number, format_unit, say_origin
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.portrait import Portrait
@@ -184,11 +184,11 @@ def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
         yield Figure(f"Phase plot of {name}", text, (panel,))
 
 
-def _list_drives(curves: Curves, rollout: int) -> list[Drive]:
+def _list_drives(curves: Curves, rollout: int) -> list[SimulatedDrive]:
     model, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
     return [
-        Drive(curves, model, rollout=rollout),
-        Drive(curves, baseline, "baseline_", reference=True, rollout=rollout),
+        SimulatedDrive(curves, model, rollout=rollout),
+        SimulatedDrive(curves, baseline, "baseline_", reference=True, rollout=rollout),
     ]
 
 

@@ -12,7 +12,7 @@ from frictionzoo.report.text import escape_markdown, format_change, format_numbe
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known
 from frictionzoo.result.section_types import Torque, WrittenModel
-from frictionzoo.result.types import Data, Metrics, Parameter, Result, Value
+from frictionzoo.result.types import Data, Metrics, ParameterRecord, Result, Value
 from frictionzoo.result.verdict import FAR, say_finding, say_purposes
 
 _format_value = partial(format_number, between=" ")
@@ -265,7 +265,7 @@ def _list_verdict(result: Result) -> list[str]:
     return lines
 
 
-def say_status(parameter: Parameter | Value) -> str:
+def say_status(parameter: ParameterRecord | Value) -> str:
     """Return the status of a value from `result.json`: known, identified or not identifiable."""
     if not parameter.identified:
         return "known"

@@ -30,7 +30,7 @@ class Candidate(NamedTuple):
     tried: int = 1
 
 
-class Explained(NamedTuple):
+class Contribution(NamedTuple):
     """A candidate that explains a part of an error.
 
     Attributes:
@@ -49,7 +49,7 @@ def attribute(
     candidates: Mapping[str, Candidate],
     joints: int = 1,
     usual: Usual = lambda name, before: 0.0,
-) -> list[Explained]:
+) -> list[Contribution]:
     """Find the candidates that explain an error, each beyond those found before it; return the largest share first.
 
     The error is first projected off the `known` columns, the effects of the model's parameters. Of similar candidates,
@@ -61,7 +61,7 @@ def attribute(
     Source: A. C. Cameron, D. L. Miller, "A Practitioner's Guide to Cluster-Robust Inference", Journal of Human
     Resources 50(2), 2015, section VI, the jackknife CR3.
     """
-    explained: list[Explained] = []
+    explained: list[Contribution] = []
     count = joints * sum(candidate.tried for candidate in candidates.values())
     remaining, total = dict(candidates), _left_by(known, error)
     while remaining and len(explained) < MOST:
@@ -117,7 +117,7 @@ def _left_by(known: Columns, error: Column) -> float:
 
 def _try(
     error: Column, known: Columns, name: str, candidate: Candidate, count: int, whole: float, usual: Factors
-) -> Explained | None:
+) -> Contribution | None:
     """Test a candidate beyond the known columns; None if it is insignificant or explains too little of `whole`."""
     basis = _orthogonal(known)
     columns = _orthogonal(_beyond(candidate.columns, basis))
@@ -131,7 +131,7 @@ def _try(
     chance = min(1.0, count * _chance(residual, columns, stretch))
     share = (float(residual @ residual) - _held_out(residual, columns, stretch % FOLDS)) / whole
     # Only deviations from the usual factors that increase the error count.
-    return Explained(name, share, chance) if chance <= LEVEL and min(share, gain) >= SHARE else None
+    return Contribution(name, share, chance) if chance <= LEVEL and min(share, gain) >= SHARE else None
 
 
 def _stretches(error: Column) -> Int[np.ndarray, "rows"]:

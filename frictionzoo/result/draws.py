@@ -153,7 +153,7 @@ def _of_joints(full: str, own: Any, param: Param, nv: int) -> Float[np.ndarray, 
     return selected
 
 
-class Band(NamedTuple):
+class PredictionInterval(NamedTuple):
     """Ends of the position's prediction interval [rad or m], from the first sample after each rollout's start."""
 
     low: Float[np.ndarray, "batch time nv"]
@@ -165,7 +165,7 @@ def predict_band(
     simulate: Callable[[Mapping[str, Float[np.ndarray, "nv"]]], Float[np.ndarray, "batch time nv"]],
     draws: Mapping[str, Float[np.ndarray, "count nv"]],
     curves: Curves,
-) -> Band:
+) -> PredictionInterval:
     """Predict the 95 % interval of each measured position.
 
     q = q(theta) - e: q(theta) is a rollout of a drive drawn from the joint distribution of its parameters. e is the
@@ -201,7 +201,7 @@ def predict_band(
         for positions in np.stack(drives, axis=1)
     ]
     low, high = np.stack(ends, axis=1)
-    return Band(low, high)
+    return PredictionInterval(low, high)
 
 
 def _widening(count: int) -> float:

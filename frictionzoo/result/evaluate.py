@@ -154,7 +154,7 @@ class Judgement:
         return self.by_horizon[0]["test"]
 
 
-class Evaluation:
+class Evaluator:
     """Rollouts for the comparison of drives, the same for all drives.
 
     The windows are cut at construction, which refuses too short logs before a fit.

@@ -22,7 +22,14 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.models.formula import as_numpy, torch_values
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.draws import Band, Posterior, draw_parameters, draw_with_chains, predict_band, put_values
+from frictionzoo.result.draws import (
+    Posterior,
+    PredictionInterval,
+    draw_parameters,
+    draw_with_chains,
+    predict_band,
+    put_values,
+)
 from frictionzoo.result.evaluate import Prediction, Values
 from frictionzoo.result.read_back import LAW, build_drive, hold, load_law, read_bench, read_segments
 from frictionzoo.result.record import read_run
@@ -137,7 +144,7 @@ class FittedDrive:
         """
         return draw_with_chains(self.place, self.result, self.bench, self.fitted, count, seed)
 
-    def band(self, segments: Segments | None = None, count: int = 100, seed: int = 0) -> Band:
+    def band(self, segments: Segments | None = None, count: int = 100, seed: int = 0) -> PredictionInterval:
         """Predict the 95 % interval of the measured position in rollouts at each instant; see `predict_band`.
 
         Combines `count` drives from `sample` with the fitted drive's errors at the same time in training rollouts.

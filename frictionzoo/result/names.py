@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
-from frictionzoo.result.types import Parameter, ReferenceParameter, Value
+from frictionzoo.result.types import ParameterRecord, ReferenceParameter, Value
 
 NAMED = 4  # most names in a sentence; the rest is counted
 
@@ -30,7 +30,7 @@ def name_some(names: Sequence[str]) -> str:
     return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
 
 
-def name_unidentifiable(parameters: Sequence[Parameter]) -> list[str]:
+def name_unidentifiable(parameters: Sequence[ParameterRecord]) -> list[str]:
     """Return the parameters that are not identifiable, with their joints unless all are affected."""
     return [name_where(p, identifiable=False) for p in parameters if p.identifiable is False]
 
@@ -67,7 +67,7 @@ def read_values(parameter: ReferenceParameter) -> Float[np.ndarray, "nv"]:
     return np.atleast_1d(np.array(value, np.float64))
 
 
-def pick_value(parameter: Parameter, joint: str) -> Value | None:
+def pick_value(parameter: ParameterRecord, joint: str) -> Value | None:
     """Return the entry of a parameter for a joint; None: the joint's model has no such parameter."""
     return next((row for row in parameter.by_joint if joint in row.joints), None)
 

@@ -29,7 +29,7 @@ from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Judgement, Values
 from frictionzoo.result.names import label_values
-from frictionzoo.result.section_types import BaseParameter, Command, Gravity, Inertia, Link, Verdict
+from frictionzoo.result.section_types import BaseParameter, Gravity, Inertia, Link, SuggestedCommand, Verdict
 from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import explain_failure, judge
 
@@ -55,7 +55,7 @@ def build_result(
     uncertainty: Uncertainty,
     links: LinkInertia | None,
     settings: Mapping[str, Any],
-    commands: Sequence[Command] = (),
+    commands: Sequence[SuggestedCommand] = (),
     **sections: Any,
 ) -> types.Result:
     """Return the complete record of a run, with its verdict.
@@ -196,9 +196,9 @@ def _describe_log(log: Log, part: Literal["train", "test"]) -> types.UsedLog:
 
 def _list_parameters(
     owner: str, bench: Bench, params: Mapping[str, Param], values: Mapping[str, np.ndarray], uncertainty: Uncertainty
-) -> list[types.Parameter]:
+) -> list[types.ParameterRecord]:
     return [
-        types.Parameter(
+        types.ParameterRecord(
             **_describe_value(owner, bench, name, param, values[name], uncertainty),
             interval=_interval(uncertainty.intervals.get(f"{owner}.{name}")),
             identifiable=uncertainty.identifiable.get(f"{owner}.{name}"),

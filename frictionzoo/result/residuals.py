@@ -179,7 +179,7 @@ def _candidates(looked: _Looked, chosen: Mapping[str, float]) -> dict[str, attri
 
 
 def _name_law(
-    one: attribution.Explained,
+    one: attribution.Contribution,
     looked: _Looked,
     chosen: Mapping[str, float],
     columns: attribution.Columns,

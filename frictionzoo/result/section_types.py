@@ -357,7 +357,7 @@ class ResultFinding(Record):
     it."""
 
 
-class Command(Record):
+class SuggestedCommand(Record):
     """A command to copy."""
 
     kind: Literal["repair", "inspect", "law", "recording", "export"]
@@ -374,6 +374,6 @@ class Verdict(Record):
     """Overall grade."""
     findings: list[ResultFinding]
     """Problems, causes first and then severe ones; empty: no problem found."""
-    commands: list[Command]
+    commands: list[SuggestedCommand]
     """Commands to copy, in this order. A result that must not be used gets no recording and no export; a result with a
     repair gets no recording."""

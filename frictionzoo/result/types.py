@@ -125,7 +125,7 @@ class ReferenceParameter(Record):
     """The same for each joint, in their order; joints that share a value have one entry."""
 
 
-class Parameter(ReferenceParameter):
+class ParameterRecord(ReferenceParameter):
     """One physical parameter of the bench or the friction model."""
 
     interval: Intervals | None
@@ -291,7 +291,7 @@ class Result(Record):
     data: Data
     columns: list[PairedColumns]
     """Columns of each joint in the recordings; empty if the recordings are not tables."""
-    parameters: list[Parameter]
+    parameters: list[ParameterRecord]
     """Physical parameters of bench and friction model. Network weights are in friction.safetensors."""
     indistinct: list[Annotated[list[str], Meta(min_length=2)]]
     """Groups of parameters that the data cannot tell apart, by full name: OWNER.NAME; with several joints

@@ -9,7 +9,7 @@ from frictionzoo.core.telling import say_percent
 from frictionzoo.core.units import UNITS
 from frictionzoo.result import section_types as types
 from frictionzoo.result.names import name_some, name_unidentifiable, name_where, say_bounds
-from frictionzoo.result.types import Metrics, Parameter, ReferenceParameter, Result
+from frictionzoo.result.types import Metrics, ParameterRecord, ReferenceParameter, Result
 
 DO_NOT_USE: Final = "do not use it"
 """Grade of a result that must not be used."""
@@ -55,7 +55,7 @@ CAUSES = ("identification", "recordings", "residual", "torque")
 _MORE = "raise fit.iterations"
 
 
-def judge(result: Result, commands: Sequence[types.Command] = ()) -> types.Verdict:
+def judge(result: Result, commands: Sequence[types.SuggestedCommand] = ()) -> types.Verdict:
     """Return the verdict on a record, ignoring its `verdict`; `commands` are suggested in `Verdict`'s order."""
     ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
     findings = sorted(_find_doubts(result), key=lambda row: (ranks.get(row.kind, len(ranks)), not row.severe))
@@ -65,7 +65,7 @@ def judge(result: Result, commands: Sequence[types.Command] = ()) -> types.Verdi
     return types.Verdict(grade, findings, allowed)
 
 
-def _allow(commands: Sequence[types.Command], grade: str, identified: bool) -> list[types.Command]:
+def _allow(commands: Sequence[types.SuggestedCommand], grade: str, identified: bool) -> list[types.SuggestedCommand]:
     """Return the commands that are safe to suggest: wrong values belong neither on hardware nor in exports."""
     kinds = {row.kind for row in commands}
     left_out: set[str] = {"recording"} if "repair" in kinds else set()
@@ -81,7 +81,7 @@ def is_usable(result: Result) -> bool:
     return result.verdict.grade != DO_NOT_USE
 
 
-def say_purposes(commands: Sequence[types.Command]) -> str:
+def say_purposes(commands: Sequence[types.SuggestedCommand]) -> str:
     """Return the purposes of suggested commands."""
     return ", ".join(PURPOSES[row.kind] for row in commands)
 
@@ -331,18 +331,18 @@ def explain_failure(result: Result) -> list[str] | None:
     ]
 
 
-def _is_cut_off(parameter: Parameter) -> bool:
+def _is_cut_off(parameter: ParameterRecord) -> bool:
     """Return whether a bound cuts off a size or an offset, which other parameters then compensate."""
     ended = [row for row in parameter.by_joint if row.at_bound]
     offset = parameter.name.endswith("_offset")
     return bool(ended) and (offset or ((_is_size(parameter) or parameter.owner == "bench") and _ended_high(parameter)))
 
 
-def _is_size(parameter: Parameter) -> bool:
+def _is_size(parameter: ParameterRecord) -> bool:
     return parameter.owner == "friction" and parameter.unit in _SIZES
 
 
-def _ended_high(parameter: Parameter) -> bool:
+def _ended_high(parameter: ParameterRecord) -> bool:
     ended = [row for row in parameter.by_joint if row.at_bound]
     return any(row.value - row.low >= row.high - row.value for row in ended)
 

@@ -164,7 +164,7 @@ def _specialise_rigid(bench: Bench, differ: Sequence[int]) -> Specialised:
     return specialise(rigid, numbers, *[np.zeros(bench.nv)] * 2, moving=moving)
 
 
-def _links(model: mujoco.MjModel) -> list[tree.Link]:
+def _links(model: mujoco.MjModel) -> list[tree.TreeLink]:
     return tree.without_rounding(tree.regroup(np, tree.links_of(np, model)))
 
 

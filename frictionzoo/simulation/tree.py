@@ -29,7 +29,7 @@ FIELDS += ("jnt_axis", "body_mass", "body_ipos", "body_iquat", "body_inertia")
 """Fields of a MuJoCo model that `links_of` needs."""
 
 
-class Link(NamedTuple):
+class TreeLink(NamedTuple):
     """Link of one joint, in a frame that moves with it and has its origin on the joint's axis.
 
     Attributes:
@@ -59,13 +59,13 @@ class Pose(NamedTuple):
     place: Any
 
 
-def links_of(xp: ModuleType, model: Any) -> list[Link]:
+def links_of(xp: ModuleType, model: Any) -> list[TreeLink]:
     """Return the links of a model of hinges and slides, one a joint, in the joints' order.
 
     `model` is MuJoCo's compiled model, or an object with its `FIELDS`; `xp` is `jax.numpy` if inertias of bodies are
     traced.
     """
-    links: list[Link] = []
+    links: list[TreeLink] = []
     frames: list[tuple[int, Pose]] = []  # of each body: the link that carries it, and its pose in that link
     for body in range(model.nbody):
         carrier, pose = frames[model.body_parentid[body]] if body else (-1, Pose(np.eye(3), np.zeros(3)))
@@ -74,7 +74,7 @@ def links_of(xp: ModuleType, model: Any) -> list[Link]:
         for joint in range(first_joint, first_joint + int(model.body_jntnum[body])):
             anchor, slides = model.jnt_pos[joint], bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
             origin = pose.turn, pose.place + pose.turn @ anchor
-            links.append(Link(carrier, slides, model.jnt_axis[joint], *origin, 0.0, np.zeros(3), np.zeros((3, 3))))
+            links.append(TreeLink(carrier, slides, model.jnt_axis[joint], *origin, 0.0, np.zeros(3), np.zeros((3, 3))))
             carrier, pose = len(links) - 1, Pose(np.eye(3), -anchor)
         frames.append((carrier, pose))
         if carrier >= 0:
@@ -87,7 +87,7 @@ def links_of(xp: ModuleType, model: Any) -> list[Link]:
     return links
 
 
-def regroup(xp: ModuleType, links: Sequence[Link]) -> list[Link]:
+def regroup(xp: ModuleType, links: Sequence[TreeLink]) -> list[TreeLink]:
     """Return links with the same dynamics and fewer numbers.
 
     A hinge's rotation does not move mass, moments along its axis, or a thin rod's inertia on the axis. These go to the
@@ -109,7 +109,7 @@ def regroup(xp: ModuleType, links: Sequence[Link]) -> list[Link]:
     return links
 
 
-def without_rounding(links: Sequence[Link]) -> list[Link]:
+def without_rounding(links: Sequence[TreeLink]) -> list[TreeLink]:
     """Set entries that are only rounding to 0."""
 
     def clean(name: str, value: Any) -> Any:
@@ -118,15 +118,15 @@ def without_rounding(links: Sequence[Link]) -> list[Link]:
         largest = max(float(np.max(np.abs(getattr(link, name)))) for link in links)
         return np.where(np.abs(value) > _NOTHING * largest, value, 0.0)
 
-    return [Link(*(clean(name, value) for name, value in link._asdict().items())) for link in links]
+    return [TreeLink(*(clean(name, value) for name, value in link._asdict().items())) for link in links]
 
 
-def flatten(links: Sequence[Link]) -> Float[np.ndarray, "numbers"]:
+def flatten(links: Sequence[TreeLink]) -> Float[np.ndarray, "numbers"]:
     """Return all numbers of links in one array; symmetric inertias by their lower triangle."""
     return np.concatenate([np.ravel(part) for link in links for part in (*link[2:-1], link.inertia[_TRIANGLE])])
 
 
-def unflatten(links: Sequence[Link], changes: Mapping[int, Any]) -> list[Link]:
+def unflatten(links: Sequence[TreeLink], changes: Mapping[int, Any]) -> list[TreeLink]:
     """Replace some numbers of `flatten`, perhaps by traced ones; the rest stay constants."""
     entries: list[Any] = list(flatten(links))
     for place, number in changes.items():
@@ -136,7 +136,7 @@ def unflatten(links: Sequence[Link], changes: Mapping[int, Any]) -> list[Link]:
         axis, turn, place, mass, moment = (_array([next(remaining) for _ in range(n)]) for n in (3, 9, 3, 1, 3))
         triangle = [next(remaining) for _ in range(6)]
         square = _array([triangle[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for i in range(3) for j in range(3)])
-        changed.append(Link(*link[:2], axis, turn.reshape(3, 3), place, mass[0], moment, square.reshape(3, 3)))
+        changed.append(TreeLink(*link[:2], axis, turn.reshape(3, 3), place, mass[0], moment, square.reshape(3, 3)))
     return changed
 
 
@@ -146,7 +146,7 @@ def _array(entries: Sequence[Any]) -> Any:
     return np.array(entries) if numeric else jnp.stack([jnp.asarray(entry) for entry in entries])
 
 
-def poses(links: Sequence[Link], displacement: Float[Array, "nv"]) -> list[Pose]:
+def poses(links: Sequence[TreeLink], displacement: Float[Array, "nv"]) -> list[Pose]:
     """Return the links' poses for joint displacements from the reference [rad or m]."""
     return [
         Pose(link.turn, link.place + link.turn @ (link.axis * moved))
@@ -157,7 +157,7 @@ def poses(links: Sequence[Link], displacement: Float[Array, "nv"]) -> list[Pose]
 
 
 def bias_torque(
-    links: Sequence[Link], at: Sequence[Pose], qvel: Float[Array, "nv"], gravity: Float[np.ndarray, "3"]
+    links: Sequence[TreeLink], at: Sequence[Pose], qvel: Float[Array, "nv"], gravity: Float[np.ndarray, "3"]
 ) -> Float[Array, "nv"]:
     """Return MuJoCo's `qfrc_bias`: torque of gravity and velocities at zero acceleration [N m or N]."""
     motions: list[tuple[Any, Any, Any]] = []  # angular velocity, its derivative, acceleration of the origin
@@ -186,7 +186,7 @@ def bias_torque(
     return jnp.stack(torques[::-1])
 
 
-def joint_inertia(links: Sequence[Link], at: Sequence[Pose]) -> Rows:
+def joint_inertia(links: Sequence[TreeLink], at: Sequence[Pose]) -> Rows:
     """Return the joint-space inertia without the armature [kg m^2 or kg]."""
     bodies = list(links)
     entries: dict[tuple[int, int], Any] = {}
@@ -207,11 +207,11 @@ def joint_inertia(links: Sequence[Link], at: Sequence[Pose]) -> Rows:
     return tuple(tuple(entries.get((i, j), np.zeros(())) for j in range(i + 1)) for i in range(len(links)))
 
 
-def _added(link: Link, mass: Any, moment: Any, inertia: Any) -> Link:
+def _added(link: TreeLink, mass: Any, moment: Any, inertia: Any) -> TreeLink:
     return link._replace(mass=link.mass + mass, moment=link.moment + moment, inertia=link.inertia + inertia)
 
 
-def _carrying(xp: ModuleType, parent: Link, pose: Pose, mass: Any, moment: Any, inertia: Any) -> Link:
+def _carrying(xp: ModuleType, parent: TreeLink, pose: Pose, mass: Any, moment: Any, inertia: Any) -> TreeLink:
     """Add mass, moment and inertia of a link to its parent, moved to the parent's origin and axes."""
     turned = pose.turn @ moment
     mixed = _spread(xp, pose.place, turned)

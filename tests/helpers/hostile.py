@@ -29,7 +29,7 @@ import frictionzoo as fz
 from frictionzoo.cli import run
 from frictionzoo.cli.finished import compare, distill, export
 from frictionzoo.core.errors import FrictionzooError
-from frictionzoo.core.manifest import MANIFEST, Manifest, State
+from frictionzoo.core.manifest import MANIFEST, FileState, Manifest
 from frictionzoo.result.card import hash_record
 
 MARK = "stranger_was_here"
@@ -268,7 +268,9 @@ def sign(folder: Path) -> None:
     """List all files of a folder in a new manifest, as a stranger can: none counts as changed or foreign."""
     (folder / MANIFEST).unlink(missing_ok=True)
     files = [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
-    Manifest(folder, "run").record({path.relative_to(folder).as_posix(): State.of(path.read_bytes()) for path in files})
+    Manifest(folder, "run").record(
+        {path.relative_to(folder).as_posix(): FileState.of(path.read_bytes()) for path in files}
+    )
 
 
 def do(command: str, folder: Path) -> str:

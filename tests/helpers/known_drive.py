@@ -21,7 +21,7 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Objective, Space, run_fit
 from frictionzoo.fit.loggers import TensorBoard
-from frictionzoo.fit.loop import Record
+from frictionzoo.fit.loop import FitFiles
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulation import friction_of, make_engine
 from frictionzoo.simulation.rollout import Rollout, make_rollout
@@ -110,7 +110,7 @@ def identified(values: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 def run(problem: Problem, fit: Any, folder: Path, **options: Any) -> Any:
     loop = {"chunk": 100, "patience": None, "progress": False} | options
-    return run_fit(fit, problem.objective, problem.model, Record(folder, TensorBoard()), **loop)
+    return run_fit(fit, problem.objective, problem.model, FitFiles(folder, TensorBoard()), **loop)
 
 
 def noisy(segments: Segments, position: float, velocity: float) -> Segments:

@@ -14,7 +14,7 @@ from frictionzoo.core.state import Signals
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.evaluate import Evaluation, Prediction
+from frictionzoo.result.evaluate import Evaluator, Prediction
 from frictionzoo.result.record import build_result
 from frictionzoo.result.section_types import FitRecord, Timing
 from frictionzoo.result.types import EvaluationRollouts
@@ -64,7 +64,7 @@ def dataset():
 
 @pytest.fixture
 def evaluation(dataset):
-    return Evaluation(
+    return Evaluator(
         dataset,
         "hinge",
         horizons=[0.1, 0.05],

@@ -18,7 +18,7 @@ from frictionzoo.core.records import (
     Text,
 )
 from frictionzoo.result.section_types import Torque
-from frictionzoo.result.types import Data, FitRecord, JointMetrics, Metrics, Network, Parameter, Timing
+from frictionzoo.result.types import Data, FitRecord, JointMetrics, Metrics, Network, ParameterRecord, Timing
 
 Numbers = list[float | None]
 Curves = dict[str, Numbers]
@@ -123,7 +123,7 @@ class ComparedRun(Record):
     by_horizon: list[RunHorizon]
     """Errors at every horizon of the evaluation."""
     paper: RunPaper
-    parameters: list[Parameter]
+    parameters: list[ParameterRecord]
     """Physical parameters of bench and friction model. Network weights are in friction.safetensors."""
     not_identified: list[Text] | None
     """Reason why the fit did not identify the drive, followed by the likely causes, likeliest first; null: no sign of
