@@ -87,7 +87,7 @@ def test_faults_are_found_with_the_option_that_solves_them(faulty):
     assert "12 V" in found["Supply"]["text"] and "vin is 15 V" in found["Supply"]["text"]
     assert "10 %" in found["Drive off"]["text"]
     late = findings(simulate_servo(0.03, True))["Command"]
-    assert late["option"] == "bench.params.delay=..." and late["state"] == "caution"
+    assert late["option"] == "bench.params.delay.identify=true" and late["state"] == "caution"
     # The simple drive's step is 2.5 ms.
     assert float(re.search(r"about (\d+) ms", late["text"])[1]) == pytest.approx(30, abs=4)
 

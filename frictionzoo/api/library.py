@@ -284,7 +284,7 @@ def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[st
 
 
 def _refuse_unknown(law: str | FrictionModel | Mapping[str, Any]) -> None:
-    """Refuse an object that is no friction model, or has no name; a result is loaded by the model's name."""
+    """Refuse an object that is not a friction model or has no name; a result is loaded by the model's name."""
     if isinstance(law, Mapping):  # each model is checked when it is made
         return
     if isinstance(law, str):

@@ -106,7 +106,7 @@ def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[s
         torque(aside, aside), torque(home, home)
     ):
         raise ConfigError(
-            f"{type(bench.actuator).__name__}: its command is no position, and nothing would hold the drive within "
+            f"{type(bench.actuator).__name__}: its command is not a position, and nothing would hold the drive within "
             "its limits; describe the controller that holds it as bench.actuator, PositionPD say"
         )
     model = bench.compile(constraint=False)

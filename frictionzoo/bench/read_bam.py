@@ -84,7 +84,7 @@ def read_bam(path: Path) -> BamDrive:
     """Read a parameter file, JSON from BAM's `fit`.
 
     Raises:
-        ConfigError: It is no such file, or its servo is not driven by voltage.
+        ConfigError: It is not such a file, or its servo is not driven by voltage.
     """
     data = load_parameters(path)
     bench = read_bench(path, data)
@@ -103,7 +103,7 @@ def load_parameters(path: Path) -> dict[str, Any]:
     """Load the content of a parameter file.
 
     Raises:
-        ConfigError: It is no such file.
+        ConfigError: It is not such a file.
     """
     try:
         data = json.loads(path.read_text())

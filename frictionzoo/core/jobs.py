@@ -117,7 +117,7 @@ def parse_record(path: Path, kind: type[R], content: Any) -> R:
 
 
 def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name}, which is no number of JSON")
+    raise ValueError(f"{name}, which is not a JSON number")
 
 
 def _refuse_deep(path: Path, content: Any) -> None:

@@ -140,8 +140,8 @@ def _check_delay(delay: Mapping[str, Any] | None) -> Finding:
         text = f"The delay of the {delay['command']} command is not distinguishable from 0 (estimate {middle:.2g} ms)."
         return Finding("good", "Command", text)
     text = f"The {delay['command']} command acts about {middle:.0f} ms late (half of {delay['estimates']} estimates "
-    text += f"between {low:.0f} and {high:.0f} ms). Identify it: bench.params.delay.identify=true."
-    return Finding("caution", "Command", text, "bench.params.delay=...")
+    text += f"between {low:.0f} and {high:.0f} ms). Identify it."
+    return Finding("caution", "Command", text, "bench.params.delay.identify=true")
 
 
 def _check_motion(joint: Mapping[str, Any], unit: str) -> Iterator[Finding]:

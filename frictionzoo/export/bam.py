@@ -103,7 +103,7 @@ def _to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str], list[
     names = [fitted.model.of_joint(joint)[0].name for joint in range(fitted.bench.nv)]
     others = [joint for joint, law in enumerate(laws) if law is None]
     remarks, lacks = list[str](), ["friction follows the torques of the step before"]
-    lacks += [f"m3 is no {name}" for name in dict.fromkeys(names[joint] for joint in others)]
+    lacks += [f"m3 cannot represent {name}" for name in dict.fromkeys(names[joint] for joint in others)]
     if any(name in _SMOOTH and law for name, law in zip(names, laws, strict=True)):
         remarks.append("BAM's joint sticks at rest, where the law's smooth sign lets it creep.")
         lacks.append("it sticks at rest")

@@ -241,7 +241,8 @@ def _describe(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"], what: str) -> 
     """Return `remark` and `lacks` of a `Nearest`; `what` continues the remark."""
     name = _name(fitted, exact)
     others = f" Those of the other joints are their law's{_say_where(fitted.model)}." if exact.any() else ""
-    return f"A frictionloss and a damping are no {name}{what}.{others}", f"frictionloss and damping are no {name}"
+    cannot = f"cannot represent {name}"
+    return f"A frictionloss and a damping {cannot}{what}.{others}", f"frictionloss and damping {cannot}"
 
 
 def _take_exact(

@@ -320,7 +320,7 @@ def _list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[di
     elif read.kind == "motor" and np.isfinite(ctrl).all():
         low, high = _ordered(ctrl * read.gain)
         force, ctrl = np.array([np.fmax(force[0], low), np.fmin(force[1], high)]), _UNLIMITED
-        notes = ["The motors' ranges of commands limit the force: what is commanded now is no torque."]
+        notes = ["The motors' ranges of commands limit the force: a command is not a torque any more."]
     elif np.isfinite(ctrl).all():
         notes = ["Ranges of commands are left out: the identified actuators' commands are others."]
         ctrl = _UNLIMITED

@@ -65,7 +65,7 @@ def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
     """Read the option `ranges`: for each name two shares of the value, or `low` and `high` in the parameter's unit.
 
     Raises:
-        ConfigError: The option is no mapping from names to two numbers, or there is no such parameter.
+        ConfigError: The option is not a mapping from names to two numbers, or there is no such parameter.
     """
     try:
         stated = yaml.safe_load(text)

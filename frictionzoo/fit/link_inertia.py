@@ -84,7 +84,7 @@ def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
     """Return the indices of the bodies that a joint moves and whose whole name matches one of the patterns.
 
     Raises:
-        ConfigError: A pattern is no regular expression, or matches no such body.
+        ConfigError: A pattern is not a regular expression, or matches no such body.
     """
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] and model.body_mass[body] > 0]
     names = {body: model.body(body).name for body in moving if model.body(body).name}

@@ -247,7 +247,7 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
 
 
 def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> FitRecord:
-    # Iterations of a grid search are no descent, and a converged or diverged fit reports that itself.
+    # Iterations of a grid search do not descend, and a converged or diverged fit reports that itself.
     descended = outcome.stopped == "finished" and outcome.method != "grid"
     history = space.pick({name: values.T for name, values in outcome.history.items()})
     return FitRecord(

@@ -104,7 +104,7 @@ def _check_declared(model: FrictionModel) -> None:
     recorded = tuple(DriveState._field_defaults)
     for name, value in model.inputs.items():
         if name not in recorded:
-            _fail(model, "inputs", f"{name} is no recorded signal of DriveState; {closest(name, recorded)}")
+            _fail(model, "inputs", f"{name} is not a recorded signal of DriveState; {closest(name, recorded)}")
         if not np.isfinite(value):
             _fail(model, "inputs", f"{name} is {value} where recordings lack it; give a finite number")
 
@@ -118,7 +118,7 @@ def _check_bounds(model: FrictionModel) -> None:
         members = param.members(model.nv)
         if name not in parameters or tuple(parameters[name].shape) != (len(members),):
             shape = f"({len(members)},)"
-            _fail(model, "values", f"{name} is no parameter of shape {shape}; leave it to FrictionModel.__init__")
+            _fail(model, "values", f"{name} is not a parameter of shape {shape}; leave it to FrictionModel.__init__")
         value = parameters[name].detach()
         low, high = (torch.tensor(param.each(side, model.nv)[members]) for side in ("low", "high"))
         if not ((value >= low) & (value <= high)).all():

@@ -139,7 +139,7 @@ class ParameterRecord(ReferenceParameter):
     is too wide. null: known value, or no intervals estimated."""
 
     def __post_init__(self) -> None:
-        """Refuse a list of numbers that is no interval."""
+        """Refuse a list of numbers that is not an interval."""
         ends = [isinstance(end, float) for end in self.interval or ()]
         if any(ends) and not (all(ends) and len(ends) == 2):
             raise ValueError(f"interval {self.interval}, expected two numbers, or two or null for each joint")

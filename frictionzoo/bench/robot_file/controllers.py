@@ -68,7 +68,7 @@ class ReadActuator:
 
 
 def clip_range(inner: tuple[float, float], outer: tuple[float, float]) -> tuple[float, float]:
-    """Return the range of a value clipped to `inner` and then to `outer`; NaN is no limit."""
+    """Return the range of a value clipped to `inner` and then to `outer`; NaN means no limit."""
     if np.isnan(inner).any() or np.isnan(outer).any():
         return outer if np.isnan(inner).any() else inner
     low, high = np.clip(inner, *outer)

@@ -101,7 +101,7 @@ def check_unpacked(name: str, size: int, packed: int | None = None) -> None:
     if packed is not None and size > SMALL and size > RATIO * packed:
         raise LogError(
             f"{name}: {packed} bytes would unpack to {size / 1e6:.0f} MB, expected at most {RATIO} times as many; "
-            "this is no recording"
+            "this is not a recording"
         )
 
 
