@@ -7,7 +7,6 @@ import warnings
 import zipfile
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import cache, cached_property, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,93 +14,22 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import make_run, slow_but, trace_nothing
-from omegaconf import OmegaConf
+from conftest import slow_but
+from helpers.drawn import MODELS, draw, fit, write
 
 from frictionzoo import __version__
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench.read_bam import LAWS, read_bam
-from frictionzoo.core.build import build
-from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ExportError
-from frictionzoo.core.log import Payload
-from frictionzoo.core.manifest import MANIFEST
-from frictionzoo.core.segments import Segments
-from frictionzoo.core.state import DriveState, Signals
-from frictionzoo.export.base import Export, get_target
 from frictionzoo.export.isaaclab import IsaacLab
 from frictionzoo.export.mjlab import Mjlab
 from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.models import FrictionModel, get_model, model_names
-from frictionzoo.models.by_name import complete_laws
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 ROOT = Path(__file__).parent.parent
-PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
-OPTIONAL = ("history_network", "maxwell_slip")  # their memory is as long as an option says
-MODELS = [name for name in model_names() if not get_model(name).memory and name not in OPTIONAL]
 GRAPHS = list(itertools.product(MODELS, ("torchscript", "onnx")))
 KINDS = ("neural_friction", "temperature_arrhenius")  # of laws: ONNX's exporter takes seconds for each
-
-
-class Drawn(Identified):
-    """A drive in random states that does not move: nothing is compiled."""
-
-    @cached_property
-    def samples(self) -> DriveState:
-        rng = np.random.default_rng(0)
-        observed = {name: value + 10 * rng.normal(size=(300, 1)) for name, value in self.model.inputs.items()}
-        return DriveState(*rng.normal(scale=2.0, size=(5, 300, 1)), **observed)
-
-    def rollout(
-        self, segments: Segments | None = None, timestep: float | None = None, values: Any = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        return self.segments.qpos[:, 1:], self.segments.qvel[:, 1:]
-
-
-@cache
-def compose_once(*overrides: str) -> Any:
-    return OmegaConf.to_container(compose_config(*overrides), resolve=True)
-
-
-@cache  # with what a drive has compiled
-def fit(law: str, *overrides: str, kind: type[Identified] = Identified) -> Identified:
-    """A drive with the configuration's initial values, two rollouts of half a second, and overrides."""
-    config = compose_once(*(f"+model@laws.{law}={law}" for law in ([law] if overrides else MODELS)), *overrides)
-    model = build(complete_laws(config["laws"][law], config), nv=1)
-    bench = build(config["bench"]).observing(model.inputs)
-    rng, interval = np.random.default_rng(0), 0.01
-    sampling = bench.sampling(interval)
-    samples = sampling.history + 50
-    phase = 5 * interval * np.arange(samples)[:, None] + np.arange(2)[:, None, None]
-    known = {"gain": 16.0, "supply": 12.0, "enable": 1.0, "kp": 20.0, "kd": 1.0}
-    known |= {"ctrl_velocity": 2.5 * np.cos(phase), "ctrl_torque": 0.5 * np.sin(3 * phase)}
-    inputs = {name: np.zeros((2, samples, 1)) + known[name] for name in bench.actuator.inputs}
-    observed = {name: value + 10 * np.cos(phase) for name, value in model.inputs.items()}
-    signals = Signals(0.5 * np.sin(phase), inputs, observed)
-    qpos, qvel = rng.normal(size=(2, 2, 51, 1))
-    load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
-    model.prepare(DriveState(*rng.normal(size=(5, 100, 1))))
-    values = {"bench": bench.initial_values(), "friction": state(model)}
-    segments = Segments(qpos, qvel, signals, interval, load)
-    drawn = trace_nothing(segments)
-    result = make_run(0, model.name, bench.nv).result
-    return kind(Path("run"), result, bench, model.double(), {}, values, segments, sampling, drawn)
-
-
-draw = partial(fit, kind=Drawn)
-
-
-def state(model: FrictionModel) -> dict[str, np.ndarray]:
-    return {name: value.detach().double().numpy() for name, value in model.state_dict().items()}
-
-
-def write(target: str, fitted: Identified, folder: Path, **options: str) -> Export:
-    export = get_target(target)().write(fitted, folder, options)
-    assert {path.name for path in folder.iterdir()} - {MANIFEST} == set(export.files)
-    assert export.limits
-    return export
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,7 @@ OPERATIONS: Mapping[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
     "rsqrt": (lax.rsqrt, lambda x: 1 / np.sqrt(x)),
     "exp": (lax.exp, np.exp),
     "log": (lax.log, np.log),
+    "log1p": (lax.log1p, np.log1p),
     "sin": (lax.sin, np.sin),
     "cos": (lax.cos, np.cos),
     "tan": (lax.tan, np.tan),

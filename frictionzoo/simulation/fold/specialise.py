@@ -26,15 +26,17 @@ class Specialised:
     """Specialised function, called with arrays in the shapes of the examples, of any floating-point type.
 
     Attributes:
+        outputs: Entries of each output.
+        order: All expressions, each after its arguments.
         operations: Number of remaining scalar operations.
     """
 
     def __init__(self, outputs: list[np.ndarray], structure: Any, slopes: Mapping[int, Slopes] | None = None) -> None:
-        self._outputs = outputs
+        self.outputs: list[np.ndarray] = outputs
         self._structure = structure
         entries = [entry for output in outputs for entry in output.ravel()]
-        self._order = _sorted_by_dependence(entries)
-        self.operations: int = sum(expression.operation != "input" for expression in self._order)
+        self.order: list[Expression] = _sorted_by_dependence(entries)
+        self.operations: int = sum(expression.operation != "input" for expression in self.order)
         self._slopes = slopes
         if slopes is not None:
             slope_entries = [slope for entry in entries for slope in slopes.get(id(entry), {}).values()]
@@ -48,7 +50,7 @@ class Specialised:
         return self._value(*leaves) if self._slopes is None else self._smooth(*leaves)
 
     def _value(self, *leaves: Array) -> Any:
-        return self._assemble(self._reader(leaves, self._order))
+        return self._assemble(self._reader(leaves, self.order))
 
     def _value_and_tangent(self, leaves: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Any, Any]:
         """Return value and tangent; slopes are computed once for all tangents."""
@@ -84,7 +86,7 @@ class Specialised:
     def _assemble(self, read: Callable[[Any], Any]) -> Any:
         outputs = [
             jnp.stack([read(entry) for entry in output.ravel()]).reshape(output.shape) if output.size else output
-            for output in self._outputs
+            for output in self.outputs
         ]
         return jax.tree.unflatten(self._structure, outputs)
 
