@@ -130,10 +130,28 @@ def test_a_force_is_the_command_unless_something_is_said() -> None:
     np.testing.assert_allclose(affine.gain * got + affine.bias0, np.clip(2 * ctrl + 0.5, -3, 3), atol=1e-14)
 
 
-def test_a_position_controller_needs_a_stiffness() -> None:
-    for gains in ({"kp": 0, "kd": 1}, {"kp": -1, "kd": 1}):
-        with pytest.raises(ConfigError, match=r"^JointPD: kp=.+; expected above 0; take Force for commands of torque"):
-            fz.JointPD(**gains)
+def test_a_joint_without_stiffness_takes_velocities() -> None:
+    """With kp = 0 the command is the desired velocity; with kp = kd = 0 the joint has no torque but ctrl_torque."""
+    rng = np.random.default_rng(0)
+    q, v, ctrl, velocity, torque = rng.normal(size=(5, 30, 3))
+    kp, kd = np.array([20.0, 0.0, 0.0]), np.array([1.0, 2.0, 0.0])
+    inputs = {"ctrl_velocity": velocity, "ctrl_torque": torque}
+    wanted = kp * (ctrl - q) + kd * (velocity - v) + torque + np.array([0, 2, 0]) * ctrl
+    for limits in ({}, {"torque_limit": 3.0}):
+        law = fz.JointPD(kp=kp.tolist(), kd=kd.tolist(), **limits)
+        values = {"kp": kp, "kd": kd, "torque_gain": np.ones(3)} | {n: np.full(3, of) for n, of in limits.items()}
+        affine, got = law.affine(values), law.control(np, values, q, v, ctrl, inputs)
+        given = affine.gain * got + affine.bias0 + affine.bias1 * q + affine.bias2 * v
+        np.testing.assert_allclose(given, np.clip(wanted, -3, 3) if limits else wanted, rtol=0, atol=1e-12)
+        parts = {name: torch.tensor(part) for name, part in {**values, **inputs}.items()}
+        in_torch = law.control(torch, parts, *map(torch.tensor, (q, v, ctrl)), parts)
+        np.testing.assert_allclose(in_torch, got, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("gains", [{"kp": 0, "kd": 0}, {"kp": [0, 0], "kd": 0}, {"kp": -1, "kd": 1}])
+def test_a_controller_needs_a_gain(gains: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=r"^JointPD: kp="):
+        fz.JointPD(**gains)
 
 
 @pytest.mark.parametrize(

@@ -141,10 +141,8 @@ LEFT = {  # what a bench does not hold, and why its actuator is left out; withou
     "DC motor": ('<dcmotor joint="{joint}" motorconst="0.5" resistance="2" inductance="0.1"/>', r"a winding with"),
 }
 NO_LAW = {  # what is read, but is no law that a bench takes by itself
-    "velocity": VELOCITY.format(1, ""),
     "constant": BIASED.replace("{0}", "1 -3 0"),
     "other stiffness": BIASED.replace("{0}", "0 -2 0"),
-    "velocity and torque": VELOCITY.format(1, "") + MOTOR.format(1, ""),
     "no gain": '<general joint="{joint}" gainprm="0"/>',
 }
 

@@ -24,7 +24,7 @@ import frictionzoo as fz
 from frictionzoo.core.errors import BenchError, ConfigError, LogError
 from frictionzoo.core.log import Columns
 from frictionzoo.data.files import Files
-from frictionzoo.data.pairing import arrange, describe_columns, label, pair
+from frictionzoo.data.pairing import arrange, arrange_recording, describe_columns, label, pair
 from frictionzoo.data.propose import propose
 from frictionzoo.data.recording import Table
 
@@ -329,6 +329,31 @@ def test_a_signal_of_some_joints_is_refused_by_its_option(tmp_path, signal):
     if signal != "ctrl":
         (recording,) = Files(train=[path], columns={signal: []}).for_joints(GO2).recordings()
         assert signal not in recording.signals
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_commands_may_lack_passive_joints(tmp_path, seed):
+    """Joints without an actuator have no command columns: those of the others are found by name or by list."""
+    rng = np.random.default_rng(seed)
+    driven = sorted(rng.choice(12, size=int(rng.integers(1, 12)), replace=False).tolist())
+    passive = [name for joint, name in enumerate(GO2) if joint not in driven]
+    shuffled = rng.permutation(driven).tolist()
+    columns = make_columns(FORMS["q"], str, IN_ORDER | {"ctrl": shuffled, "torque": shuffled})
+    unnamed = {f"u{number}": make_signal("ctrl", joint) for number, joint in enumerate(driven)}
+    state = {header: values for header, values in columns.items() if not header.startswith("q_des_")}
+    for number, (table, listed) in enumerate(((columns, {}), (state | unnamed, {"ctrl": [*unnamed]}))):
+        path = str(write_csv(tmp_path / f"{number}.csv", table))
+        (recording,) = Files(train=[path], columns=listed).for_joints(GO2, passive).recordings()
+        for joint, name in enumerate(GO2):
+            expected = 0 * make_signal("ctrl", joint) if name in passive else make_signal("ctrl", joint)
+            np.testing.assert_array_equal(recording.signals["ctrl"][:, joint], expected)
+            np.testing.assert_array_equal(recording.signals["qpos"][:, joint], make_signal("qpos", joint))
+        again, _ = arrange_recording(recording, GO2, passive)
+        np.testing.assert_array_equal(again.signals["ctrl"], recording.signals["ctrl"])
+        (row,) = describe_columns([recording], GO2)
+        assert ["ctrl" in joint["columns"] for joint in row["joints"]] == [joint in driven for joint in range(12)]
+    with pytest.raises(LogError, match=r"data\.columns\.ctrl"):
+        Files(train=[str(tmp_path / "0.csv")]).for_joints(GO2, passive[1:]).recordings()
 
 
 HEADERS = ("qpos_{}", "position_{}", "hip_position", "effort_{}", "effort", "velocity_command", "velocity_command_{}")

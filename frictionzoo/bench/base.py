@@ -15,7 +15,7 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.delay import write_delay
-from frictionzoo.bench.signals import pair_log, pick_inputs, pick_signals, refuse_columns, say_lacking
+from frictionzoo.bench.signals import add_inputs, pair_log, refuse_columns, say_lacking
 from frictionzoo.bench.template import INTEGRATORS, Joints, Template, in_full, read_options, read_solreffriction
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
@@ -53,6 +53,7 @@ class Bench(Described):
         payload: Index of the body that carries payloads, or None.
         notes: Features of a robot's file that the bench lacks, one line each.
         unlimited: Position limits of a robot's file that the bench lacks [rad or m], (nv, 2); NaN without a limit.
+        passive: Joints that no actuator of a robot's file moves; recordings need no commands of them.
         observed: Inputs of the friction model in addition to the state, with their values for recordings without them.
 
     Args:
@@ -130,6 +131,7 @@ class Bench(Described):
         self.integrator: str = INTEGRATORS[mujoco.mjtIntegrator(model.opt.integrator)]
         self.timestep: float = float(model.opt.timestep)
         self.own_damping: np.ndarray = model.dof_damping.copy()
+        self.passive: tuple[str, ...] = ()
         self._limited: np.ndarray = model.jnt_limited.astype(bool)
         self.payload: int | None = None if payload is None else self._template.find_body(model, payload)
         self.observed: dict[str, float] = {}
@@ -323,11 +325,10 @@ class Bench(Described):
             BenchError: The log has another number of joints, an unsuitable interval, a payload without a body that
                 carries it, or lacks an input of the actuator law.
         """
-        log = pair_log(log, self.joints)
+        log = pair_log(log, self.joints, self.passive)
         refuse_columns(log, self.joints, self.source)
         self.check_interval(log.timestep, log.name)
-        inputs, observed = pick_inputs(log, self.actuator, self.nv), pick_signals(log, self.observed, self.nv)
-        log = replace(log, inputs=inputs, observed=observed)
+        log = add_inputs(log, self.actuator, self.observed, self.initial_values())
         if self.payload is None and log.payload is not None:
             raise BenchError(
                 f"{log.name}: a payload of {log.payload.mass:g} kg, but bench.payload=null; name the body of "

@@ -35,7 +35,7 @@ class Given(NamedTuple):
             Param.from_config(name, "1", section)
         source, section = build(settings["data"], Source), settings["bench"]
         bench, missing = build_open(section)
-        dataset = source.for_joints(bench.joints).load()
+        dataset = source.for_joints(bench.joints, bench.passive).load()
         if missing:
             section = _put_gains(section, find_gains(section, dataset, missing))
             bench = build(section, Bench)

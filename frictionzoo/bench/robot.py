@@ -15,6 +15,7 @@ from frictionzoo.bench.actuators.saturation import LIMITS, POSITIONS
 from frictionzoo.bench.base import DEFAULTS, Bench
 from frictionzoo.bench.robot_file import RobotFile, read_robot
 from frictionzoo.bench.robot_file.read import refuse_other
+from frictionzoo.bench.robot_file.source import listed
 from frictionzoo.bench.template import Joints, Template
 from frictionzoo.core.errors import BenchError, MissingValueError
 from frictionzoo.core.params import LARGEST, Param, refuse_negative
@@ -22,6 +23,7 @@ from frictionzoo.core.params import LARGEST, Param, refuse_negative
 _OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters that only bristle models have
 _RANGES = {"torque_limit": "ranges of torque", "torque_low": "ranges of torque"}
 _RANGES |= dict.fromkeys(POSITIONS, "ranges of desired positions")
+_GAINS = {"kp", "kd", "force_gain"}  # 0 in the file where a joint has no such actuator
 _INSIDE = 1e-3  # distance of a fit's start from its bounds, as a share of their range in the optimiser's coordinate
 
 
@@ -39,7 +41,8 @@ class Robot(Bench):
     Args:
         mjcf: Path of the MJCF or URDF.
         joint: Names of joints, or regular expressions that match whole names; None for all with one degree of freedom.
-        actuator: Actuator law; None for the file's: `JointPD` for position actuators, `Force` for motors.
+        actuator: Actuator law; None for the file's: `JointPD` for position and velocity actuators, `Force` for motors.
+            A joint that no actuator of the file moves has no torque.
         params: See `Bench`. By default, `init` of `armature` and `delay` is None and `high` of `armature` is 10.
         base: `fixed` welds a floating base to the world; `as_is` refuses it.
         contacts: `leave_out` or `keep`.
@@ -89,12 +92,15 @@ class Robot(Bench):
         self._known = _list_known(self.file) | (_list_ranges(self.file) if ranges == "keep" else {})
         self._said: list[str] = []  # differences of initial values and ranges from the file
         actuator = self._with_ranges(actuator)
+        if isinstance(actuator, JointPD) and actuator.params["kp"].init is None and 0 in self._known.get("kp", ()):
+            actuator = actuator.with_soft_joints()
         options: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
         options |= {"gravity": gravity, "second_order": second_order, "integrator": integrator, "timestep": timestep}
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **options)
         self.notes = (*self.file.notes, *dict.fromkeys(self._said))
         if limits == "leave_out":
             self.unlimited = self.file.ranges
+        self.passive = self._list_passive()
 
     def _open(self, mjcf: str, joint: Joints) -> Template:
         return Template(mjcf, self.file.root, self.file.joints)
@@ -108,13 +114,31 @@ class Robot(Bench):
             elif name == "delay" and not self._known[name].any():
                 filled |= {name: replace(param, init=0.0)} if param.is_identified else {}
             elif name in self._known:
+                if name in _GAINS and 0 in self._known[name] and param.is_identified:
+                    has_gain = (self._known[name] != 0) | (name == "kd") & (self._known.get("kp", 0) != 0)
+                    free = replace(param, init=0.0, low=-1.0, high=1.0, scale=1.0).for_joints(self.joints)
+                    param = replace(param, identify=tuple((free.each("identify", self.nv) & has_gain).tolist()))
                 filled[name] = self._begin(param, self._known[name])
                 self._say_begun(filled[name])
             elif name not in self.actuator.optional or param.is_identified:
                 option = f"bench.actuator.params.{name}.init"
+                _refuse_shared(self.source, self.file, option)
                 raise MissingValueError(f"{self.source}: no {name} in the file; give {option}")
         refuse_negative(f"{self.source}: ", filled)
         return filled
+
+    def _list_passive(self) -> tuple[str, ...]:
+        """Return the joints that no actuator of the file moves, if the law gives them no torque without commands."""
+        if not self.file.passive:
+            return ()
+        rng, zeros = np.random.default_rng(0), np.zeros(self.nv)
+        values, qpos, qvel = self.initial_values(), *rng.uniform(0.5, 1.0, (2, self.nv))
+        law, inputs = self.actuator.affine(values), dict.fromkeys(self.actuator.inputs, zeros)
+        ctrl = self.actuator.control(np, values, qpos, qvel, zeros, inputs)
+        torque = law.gain * ctrl + law.bias0 + law.bias1 * qpos + law.bias2 * qvel
+        return tuple(
+            joint for joint, own in zip(self.joints, torque, strict=True) if own == 0 and joint in self.file.passive
+        )
 
     def _with_ranges(self, actuator: Actuator) -> Actuator:
         """Return the actuator law with the file's limits; limits in the law's parameters have precedence."""
@@ -130,7 +154,9 @@ class Robot(Bench):
         if not added:
             return actuator
         other, section = copy.copy(actuator), {"low": -LARGEST, "high": LARGEST, "scale": 1.0, "identify": False}
-        params = {name: Param(name, actuator.dimensions[name], None, **section) for name in added}
+        of_velocity = not np.any(self._known.get("kp", 1))  # velocity servos alone
+        dimensions = {**actuator.dimensions, **dict.fromkeys(POSITIONS if of_velocity else (), "velocity")}
+        params = {name: Param(name, dimensions[name], None, **section) for name in added}
         other.params = {**actuator.params, **params}
         return other
 
@@ -192,16 +218,34 @@ def _section(given: Any) -> dict[str, Any]:
 def _list_known(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the file's values of bench and actuator parameters that it states for every joint."""
     known: dict[str, np.ndarray] = {"armature": file.values["armature"], "delay": file.delays}
-    actuators = [actuator for actuator in file.actuators if actuator is not None]
-    if len(actuators) == len(file.joints):
-        if all(actuator.kind == "position" for actuator in actuators):
-            known |= {
-                "kp": np.array([0.0 - a.bias1 for a in actuators]),
-                "kd": np.array([0.0 - a.bias2 for a in actuators]),
-            }
-        if all(actuator.kind == "motor" for actuator in actuators):
-            known["force_gain"] = np.array([actuator.gain for actuator in actuators])
+    kinds = _kinds(file)
+    if kinds and kinds <= {"position", "velocity"}:
+        known |= {
+            "kp": np.array([0.0 if a is None else 0.0 - a.bias1 for a in file.actuators]),
+            "kd": np.array([0.0 if a is None else 0.0 - a.bias2 for a in file.actuators]),
+        }
+    if kinds == {"motor"}:
+        known["force_gain"] = np.array([0.0 if actuator is None else actuator.gain for actuator in file.actuators])
     return known
+
+
+def _kinds(file: RobotFile) -> set[str | None]:
+    """Return the kinds of the joints' actuators, without passive joints; None for one that is not supported."""
+    pairs = zip(file.joints, file.actuators, strict=True)
+    return {None if read is None else read.kind for joint, read in pairs if joint not in file.passive}
+
+
+def _refuse_shared(source: str, file: RobotFile, option: str) -> None:
+    """Refuse an actuator that moves joints by a tendon or another transmission, whose gains are asked for."""
+    for name in dict.fromkeys(name for movers in file.movers for name in movers):
+        rows = zip(file.joints, file.actuators, file.movers, strict=True)
+        moved = [joint for joint, read, movers in rows if read is None and name in movers]
+        if len(moved) > 1:
+            raise BenchError(
+                f"{source}: actuator {name} moves {len(moved)} joints, {listed(moved)}, by a tendon or another "
+                f"transmission, which a bench does not simulate; choose other joints (bench.joint), or give each joint "
+                f"a value of its own ({option})"
+            )
 
 
 def _list_ranges(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
@@ -217,11 +261,12 @@ def _list_ranges(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
 
 
 def _read_actuator(source: str, file: RobotFile) -> Actuator:
-    kinds = {None if actuator is None else actuator.kind for actuator in file.actuators}
-    if kinds == {"position"}:
+    kinds = _kinds(file)
+    if kinds and kinds <= {"position", "velocity"}:
         return JointPD(params={"kp": {"init": None}, "kd": {"init": None}})
     if kinds == {"motor"}:
         return Force(params={"force_gain": {"init": None}})
+    _refuse_shared(source, file, "bench.actuator")
     pairs = zip(file.joints, file.actuators, strict=True)
     listing = ", ".join(f"{name}: {'none' if read is None else read.kind}" for name, read in pairs)
     raise BenchError(

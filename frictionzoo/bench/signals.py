@@ -1,7 +1,7 @@
 """Signals of a recording that actuator law and friction model need in addition to state and command."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,45 +11,50 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.core.errors import BenchError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.clean import EXTRAS
-from frictionzoo.data.pairing import Pairing, arrange, reorder, say_order
+from frictionzoo.data.pairing import Pairing, arrange, in_order, lay_out, reorder, say_order
 
 _log = logging.getLogger(__name__)
 
 
-def pair_all(dataset: Dataset, joints: Sequence[str]) -> Dataset:
+def pair_all(dataset: Dataset, joints: Sequence[str], passive: Collection[str] = ()) -> Dataset:
     """Return a data set with columns in the order of the joints, and log each reordering.
 
     Raises:
         LogError: See `pair_log`.
     """
-    lines = [line for log in dataset.logs for line in say_order(log.columns, _arrange(log, joints))]
+    lines = [line for log in dataset.logs for line in say_order(log.columns, _arrange(log, joints, passive))]
     for line in dict.fromkeys(lines):
         _log.info("%s: %s", dataset.name, line)
-    train, test = (tuple(pair_log(log, joints) for log in logs) for logs in (dataset.train, dataset.test))
+    train, test = (tuple(pair_log(log, joints, passive) for log in logs) for logs in (dataset.train, dataset.test))
     return Dataset(dataset.name, train, test)
 
 
-def pair_log(log: Log, joints: Sequence[str]) -> Log:
+def pair_log(log: Log, joints: Sequence[str], passive: Collection[str] = ()) -> Log:
     """Return a log with columns in the order of the joints, by the names in each signal's headers.
+
+    Commands that the `passive` joints lack become 0.
 
     Raises:
         LogError: Headers name only some of the joints, a joint twice, or unknown joints.
     """
-    pairings = _arrange(log, joints)
-    orders = {signal: list(order) for signal, (order, _) in pairings.items()}
+    pairings = _arrange(log, joints, passive)
+    orders = {signal: order for signal, (order, _) in pairings.items()}
     if "qpos" in orders:
         orders.setdefault("qvel", orders["qpos"])  # estimated from qpos
-    values = {
-        signal: getattr(log, signal)[:, orders[signal]] for signal in ("qpos", "qvel", "ctrl") if signal in orders
-    }
-    extras = {name: extra[:, orders[name]] if name in orders else extra for name, extra in log.extras.items()}
+    for signal in [name for name in ("ctrl", *log.extras) if name not in log.columns]:
+        count = (log.ctrl if signal == "ctrl" else log.extras[signal]).shape[1]
+        orders |= {} if (order := lay_out(signal, range(count), joints, passive)) is None else {signal: order}
+    paired = [signal for signal in ("qpos", "qvel", "ctrl") if signal in orders]
+    values = {signal: in_order(getattr(log, signal), orders[signal]) for signal in paired}
+    extras = {name: in_order(extra, orders[name]) if name in orders else extra for name, extra in log.extras.items()}
     return replace(log, **values, extras=extras, columns=reorder(log.columns, pairings))
 
 
-def _arrange(log: Log, joints: Sequence[str]) -> dict[str, Pairing]:
+def _arrange(log: Log, joints: Sequence[str], passive: Collection[str]) -> dict[str, Pairing]:
     """Return the pairing of each recorded signal's columns with the joints; an estimated velocity has none."""
     recorded = {"qpos", "ctrl", *log.extras, *(() if log.velocity_estimated else ("qvel",))}
-    return arrange(log.name, {signal: headers for signal, headers in log.columns.items() if signal in recorded}, joints)
+    columns = {signal: headers for signal, headers in log.columns.items() if signal in recorded}
+    return arrange(log.name, columns, joints, passive)
 
 
 def refuse_columns(log: Log, joints: Sequence[str], source: str) -> None:
@@ -65,6 +70,25 @@ def refuse_columns(log: Log, joints: Sequence[str], source: str) -> None:
                 f"{log.name}: {signal} has {columns} columns, expected {len(joints)} for the joints "
                 f"{', '.join(joints)} of {source}; choose other columns or another bench.joint"
             )
+
+
+def add_inputs(log: Log, actuator: Actuator, observed: Mapping[str, float], values: Mapping[str, np.ndarray]) -> Log:
+    """Return the log with the inputs of the actuator law and those of the friction model, `observed`.
+
+    A velocity servo's command is the recorded desired velocity if there is one, and `ctrl` otherwise. `values` are the
+    bench's parameters.
+
+    Raises:
+        BenchError: An input is missing, has a wrong number of columns, or is not finite.
+    """
+    nv = log.qpos.shape[1]
+    log = replace(log, inputs=pick_inputs(log, actuator, nv), observed=pick_signals(log, observed, nv))
+    servos = (values["kp"] == 0) & (values["kd"] > 0) if {"kp", "kd"} <= values.keys() else np.zeros(nv, bool)
+    velocity = log.inputs.get("ctrl_velocity")
+    if velocity is None or "ctrl_velocity" not in log.extras or not servos.any():
+        return log
+    inputs = {**log.inputs, "ctrl_velocity": np.where(servos, 0.0, velocity)}
+    return replace(log, ctrl=np.where(servos, velocity, log.ctrl), inputs=inputs)
 
 
 def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:

@@ -53,7 +53,7 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
     data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
     source, joints, joint_type = build(data, Source), (), None
     if bench is not None:
-        source, joints, joint_type = source.for_joints(bench.joints), bench.joints, bench.joint_type
+        source, joints, joint_type = source.for_joints(bench.joints, bench.passive), bench.joints, bench.joint_type
     with claim(folder, "inspection", ("inspect.html", "inspect.json")):
         recordings, names = put_in_order(list_recordings(source), joints)
         survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type, names)

@@ -119,7 +119,10 @@ def list_columns(columns: Mapping[str, Any]) -> Rows:
     """Return a table of the column assigned to each joint, from `columns` of `result.json` or `inspect.json`."""
     signals = sorted(columns["by"], key=[*_COLUMNS, *columns["by"]].index)
     rows = [("joint <-", *(str(_COLUMNS.get(signal, signal)) for signal in signals))]
-    return [*rows, *((row["joint"], *(row["columns"][signal] for signal in signals)) for row in columns["joints"])]
+    return [
+        *rows,
+        *((row["joint"], *(row["columns"].get(signal, "none") for signal in signals)) for row in columns["joints"]),
+    ]
 
 
 def _is_number(cell: str) -> bool:

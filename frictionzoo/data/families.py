@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.data.pairing import Named, find_name, pair_signal
+from frictionzoo.data.pairing import OF_DRIVES, Named, find_name, pair_signal
 from frictionzoo.data.recording import SIGNALS, Table
 from frictionzoo.data.words import MEASURED, POSITION, TORQUE, find_signal, list_words, split
 
@@ -17,7 +17,9 @@ Families = dict[tuple[int, str], list[str]]
 """Headers that differ only in the joint, by rank (lower is clearer) and by stem, the common part of the headers."""
 
 
-def find_columns(table: Table, joints: Sequence[str], said: Collection[str]) -> dict[str, tuple[str, ...]]:
+def find_columns(
+    table: Table, joints: Sequence[str], said: Collection[str], passive: Collection[str] = ()
+) -> dict[str, tuple[str, ...]]:
     """Find the headers of each signal, in the table's order; arguments as `propose`.
 
     Raises:
@@ -28,30 +30,39 @@ def find_columns(table: Table, joints: Sequence[str], said: Collection[str]) -> 
     families = _families(table, names)
     for signal in (signal for signal in SIGNALS if families.get(signal)):
         try:
-            headers = tuple(_choose(table, signal, families[signal], names, joints))
+            headers = tuple(_choose(table, signal, families[signal], names, joints, passive))
         except LogError:
             if signal in said:
                 continue
             raise
-        if signal not in BESIDE or len(headers) in (1, len(joints) or len(columns.get("qpos", ()))):
+        counts = {1, len(joints) or len(columns.get("qpos", ())), len(joints) - len(passive)}
+        if signal not in BESIDE or len(headers) in counts:
             columns[signal] = headers
     time_header = table.times.get(columns.get("qpos", ("",))[0])
     return {**columns, "time": (time_header,)} if time_header else columns
 
 
 def _choose(
-    table: Table, signal: str, found: Families, names: Mapping[str, Named], joints: Sequence[str]
+    table: Table,
+    signal: str,
+    found: Families,
+    names: Mapping[str, Named],
+    joints: Sequence[str],
+    passive: Collection[str],
 ) -> Sequence[str]:
     """Return a signal's headers: those with joint names if there are any, otherwise the family of lowest rank."""
     best = found[min(found, key=lambda key: key[0])]
     if signal == "time" or best[0] not in names:
         return best[:1] if signal == "time" else best
     numbers = list(range(len(joints)))
-    complete = [headers for headers in found.values() if sorted(names[header].joint for header in headers) == numbers]
+    driven = [number for number in numbers if signal not in OF_DRIVES or joints[number] not in passive]
+    complete = [
+        headers for headers in found.values() if sorted(names[header].joint for header in headers) in (numbers, driven)
+    ]
     if len(complete) == 1:
         return complete[0]
     all_headers = sorted((header for headers in found.values() for header in headers), key=list(table.columns).index)
-    pair_signal(table.name, signal, all_headers, joints)
+    pair_signal(table.name, signal, all_headers, joints, passive)
     return all_headers
 
 

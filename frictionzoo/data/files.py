@@ -2,7 +2,7 @@
 
 import copy
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -82,6 +82,7 @@ class Files(Source):
         self.inputs = _mapping("inputs", inputs)
         self.clean, self.payload, self.simulated = clean, payload, ORIGINS[origin]
         self.joints: tuple[str, ...] = ()
+        self.passive: tuple[str, ...] = ()
         self.split = Split(**(split or {}))
         if self.test and self.split.by != "time":
             raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
@@ -91,10 +92,10 @@ class Files(Source):
         for names in filter(None, (self.train, self.test)):
             find_files(names, self.folder, self.source)
 
-    def for_joints(self, joints: Sequence[str]) -> "Files":
+    def for_joints(self, joints: Sequence[str], passive: Collection[str] = ()) -> "Files":
         """Return the same source for these joints, see `Source.for_joints`."""
         other = copy.copy(self)
-        other.joints = tuple(joints)
+        other.joints, other.passive = tuple(joints), tuple(passive)
         return other
 
     def recordings(self) -> list[Recording]:
@@ -180,13 +181,13 @@ class Files(Source):
         return np.asarray(sign) * values
 
     def _arrange(self, recordings: Sequence[Recording]) -> list[Recording]:
-        arranged = [arrange_recording(recording, self.joints) for recording in recordings]
+        arranged = [arrange_recording(recording, self.joints, self.passive) for recording in recordings]
         for line in dict.fromkeys(line for _, lines in arranged for line in lines):
             _log.info("%s: %s", self.name, line)
         return [recording for recording, _ in arranged]
 
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
-        proposal = propose(table, self.joints, self.columns)
+        proposal = propose(table, self.joints, self.columns, self.passive)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
         # An inferred unit holds only for the inferred headers, which the options may name too.
         same = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
@@ -196,7 +197,7 @@ class Files(Source):
             level = logging.INFO if proposal.certain else logging.WARNING
             origins = {signal: Columns(headers) for signal, headers in columns.items()}
             if self.joints:
-                origins = reorder(origins, arrange(table.name, origins, self.joints))
+                origins = reorder(origins, arrange(table.name, origins, self.joints, self.passive))
             text = " ".join(Proposal({signal: origin.headers for signal, origin in origins.items()}, units).overrides())
             _log.log(level, "%s: inferred from names and numbers in %s: %s", self.name, table.name, text)
         return {**columns, **self.columns}, {**units, **self.units}

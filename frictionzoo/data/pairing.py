@@ -2,17 +2,22 @@
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import Columns, Log
-from frictionzoo.data.recording import Recording
+from frictionzoo.data.recording import COMMANDS, Recording
 from frictionzoo.data.words import GENERIC, KNOWN, list_words, split
 
 MOST_LISTED = 24  # headers listed in a message
+OF_DRIVES = (*COMMANDS, "torque")
+"""Signals that joints without a drive may lack."""
 
 By = Literal["name", "listed", "place"]
 
@@ -34,7 +39,7 @@ class Pairing(NamedTuple):
     """Columns of one signal in the order of the joints.
 
     Attributes:
-        order: Index of each joint's header.
+        order: Index of each joint's header; -1 for a passive joint without this signal.
         by: Matched by `name` of the joints; or unnamed, in the user's order (`listed`) or the file's order (`place`).
     """
 
@@ -42,17 +47,20 @@ class Pairing(NamedTuple):
     by: By
 
 
-def arrange(name: str, columns: Mapping[str, Columns], joints: Sequence[str]) -> dict[str, Pairing]:
+def arrange(
+    name: str, columns: Mapping[str, Columns], joints: Sequence[str], passive: Collection[str] = ()
+) -> dict[str, Pairing]:
     """Match the columns of all signals of one recording to the joints; `name` is the recording's, for messages.
 
     Headers that a user listed are matched by name if they name each joint once; otherwise they keep the listed order.
+    The signals in `OF_DRIVES` may lack the `passive` joints.
 
     Raises:
         LogError: As `pair`; or one signal has no joint names and another names the joints in another order.
     """
-    pairings = {signal: _arrange(name, signal, origin, joints) for signal, origin in columns.items()}
+    pairings = {signal: _arrange(name, signal, origin, joints, passive) for signal, origin in columns.items()}
     reordered = [s for s, pairing in pairings.items() if not columns[s].listed and _moves(columns[s], pairing)]
-    by_place = [s for s, (order, by) in pairings.items() if by == "place" and len(order) > 1]
+    by_place = [s for s, (order, by) in pairings.items() if by == "place" and sum(place >= 0 for place in order) > 1]
     if reordered and by_place:
         raise LogError(
             f"{name}: {by_place[0]} has columns without names, {_list(columns[by_place[0]].headers)}, and those of "
@@ -62,21 +70,45 @@ def arrange(name: str, columns: Mapping[str, Columns], joints: Sequence[str]) ->
     return pairings
 
 
-def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str]) -> Pairing:
-    as_listed = Pairing(tuple(range(len(of.headers))), "listed")
+def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str], passive: Collection[str]) -> Pairing:
+    recorded = [place for place, header in enumerate(of.headers) if header]  # paired columns may lack passive joints
+    as_listed = Pairing(lay_out(signal, recorded, joints, passive) or tuple(recorded), "listed")
     try:
-        pairing = pair_signal(name, signal, of.headers, joints)
+        pairing = pair_signal(name, signal, [of.headers[place] for place in recorded], joints, passive)
     except LogError:
         if of.listed:
             return as_listed
         raise
-    return pairing if pairing.by == "name" or not of.listed else as_listed
+    if of.listed and pairing.by != "name":
+        return as_listed
+    return Pairing(tuple(recorded[place] if place >= 0 else -1 for place in pairing.order), pairing.by)
 
 
-def pair_signal(name: str, signal: str, headers: Sequence[str], joints: Sequence[str]) -> Pairing:
+def lay_out(
+    signal: str, places: Sequence[int], joints: Sequence[str], passive: Collection[str]
+) -> tuple[int, ...] | None:
+    """Return the column of each joint for a signal with one for each joint that is not passive; None for others.
+
+    `places` are its columns in the order of the joints.
+    """
+    driven = [joint not in passive for joint in joints]
+    if signal not in OF_DRIVES or all(driven) or len(places) != sum(driven):
+        return None
+    remaining = iter(places)
+    return tuple(next(remaining) if is_driven else -1 for is_driven in driven)
+
+
+def in_order(values: Float[np.ndarray, "time columns"], order: Sequence[int]) -> Float[np.ndarray, "time nv"]:
+    """Return the columns of a signal in the order of a `Pairing`, 0 where there is none."""
+    return np.where(np.array(order) < 0, 0.0, values[:, list(order)]) if -1 in order else values[:, list(order)]
+
+
+def pair_signal(
+    name: str, signal: str, headers: Sequence[str], joints: Sequence[str], passive: Collection[str] = ()
+) -> Pairing:
     """Match the headers of a signal as `pair`, with the recording's name and an advice in the error."""
     try:
-        return pair(headers, joints)
+        return pair(headers, joints, passive if signal in OF_DRIVES else ())
     except LogError as error:
         needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
         raise LogError(f"{name}: {signal} {error}; set data.columns.{signal} to the columns{needed}") from None
@@ -85,7 +117,9 @@ def pair_signal(name: str, signal: str, headers: Sequence[str], joints: Sequence
 def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dict[str, Columns]:
     """Return the columns in the order from `arrange`."""
     return {
-        signal: Columns(tuple(columns[signal].headers[place] for place in order), columns[signal].listed, by)
+        signal: Columns(
+            tuple(columns[signal].headers[place] if place >= 0 else "" for place in order), columns[signal].listed, by
+        )
         for signal, (order, by) in found.items()
     }
 
@@ -103,14 +137,16 @@ def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> l
     return [f"columns of {', '.join(named)} {what}" for what, named in signals.items() if named]
 
 
-def arrange_recording(recording: Recording, joints: Sequence[str]) -> tuple[Recording, list[str]]:
+def arrange_recording(
+    recording: Recording, joints: Sequence[str], passive: Collection[str] = ()
+) -> tuple[Recording, list[str]]:
     """Return a recording with its columns in the order of the joints, and the sentences of `say_order`.
 
     Raises:
         LogError: As `arrange`.
     """
-    pairings = arrange(recording.name, recording.columns, joints)
-    signals = {signal: recording.signals[signal][:, list(order)] for signal, (order, _) in pairings.items()}
+    pairings = arrange(recording.name, recording.columns, joints, passive)
+    signals = {signal: in_order(recording.signals[signal], order) for signal, (order, _) in pairings.items()}
     ordered = replace(recording, signals=signals, columns=reorder(recording.columns, pairings))
     return ordered, say_order(recording.columns, pairings)
 
@@ -137,22 +173,24 @@ def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequ
 
 
 def _pick(columns: Sequence[tuple[str, Columns]], joint: int) -> dict[str, str]:
-    """Return each signal's header for one joint; a single column serves all joints."""
-    return {signal: origin.headers[joint if len(origin.headers) > 1 else 0] for signal, origin in columns}
+    """Return each signal's header for one joint; a single column serves all joints, and "" is none."""
+    headers = {signal: origin.headers[joint if len(origin.headers) > 1 else 0] for signal, origin in columns}
+    return {signal: header for signal, header in headers.items() if header}
 
 
 def _moves(of: Columns, pairing: Pairing) -> bool:
     """Return whether matching by name reorders columns or leaves some out."""
-    return pairing.by == "name" and pairing.order != tuple(range(len(of.headers)))
+    recorded = [place for place, header in enumerate(of.headers) if header]
+    return pairing.by == "name" and [place for place in pairing.order if place >= 0] != recorded
 
 
-def pair(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
+def pair(headers: Sequence[str], joints: Sequence[str], optional: Collection[str] = ()) -> Pairing:
     """Match the headers of one signal to the joints.
 
     A header names a joint if it contains the joint's name as whole words. Case, separators and words such as `joint` do
     not count. A prefix or suffix that all joint names share may be missing if all other words of the header are known.
     Headers of other joints are left out. Headers that differ only in one number are matched by position, unless the
-    joints' names differ in the same numbers.
+    joints' names differ in the same numbers. The `optional` joints may have no header.
 
     Raises:
         LogError: Only some joints are named, two headers name one joint, or the headers contain names of no joint. The
@@ -160,11 +198,16 @@ def pair(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
     """
     named = {place: match.joint for place, header in enumerate(headers) if (match := find_name(header, tuple(joints)))}
     if not named:
-        return _pair_numbers(headers, joints)
+        driven = [joint for joint in joints if joint not in optional]
+        if len(headers) != len(driven) or len(driven) == len(joints):
+            return _pair_numbers(headers, joints)
+        order, by = _pair_numbers(headers, driven)
+        return Pairing(tuple(order[driven.index(joint)] if joint in driven else -1 for joint in joints), by)
     counts = Counter(named.values())
-    if len(counts) == len(joints) and max(counts.values()) == 1:
+    lacking = [joint for number, joint in enumerate(joints) if number not in counts]
+    if max(counts.values()) == 1 and all(joint in optional for joint in lacking):
         places = {joint: place for place, joint in named.items()}
-        return Pairing(tuple(places[joint] for joint in range(len(joints))), "name")
+        return Pairing(tuple(places.get(joint, -1) for joint in range(len(joints))), "name")
     raise LogError(_say_unpaired(headers, joints, named))
 
 

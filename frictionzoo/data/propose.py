@@ -53,10 +53,13 @@ class Proposal:
         return [option if re.fullmatch(r"[\w.=/,\[\]-]*", option) else shlex.quote(option) for option in options]
 
 
-def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()) -> Proposal:
+def propose(
+    table: Table, joints: Sequence[str] = (), said: Collection[str] = (), passive: Collection[str] = ()
+) -> Proposal:
     """Propose columns and units for the signals of a table, from names and numbers.
 
     `joints` names the joints whose columns are wanted; empty if unknown. `said` lists signals whose columns a user set.
+    Commands of the `passive` joints may be missing.
 
     Raises:
         LogError: Headers of a signal not in `said` name only some of the joints, or a joint twice.
@@ -67,7 +70,7 @@ def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()
             columns = {signal: headers for signal, headers in columns.items() if is_usable(table, signal, headers)}
             units = _find_units(table, columns)
             return Proposal(columns, units, certain=not units)
-    columns = find_columns(table, joints, said)
+    columns = find_columns(table, joints, said, passive)
     return Proposal(columns, _find_units(table, columns))
 
 

@@ -1,7 +1,7 @@
 """Interface of a data source, which loads training and test recordings."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.log import Dataset
@@ -24,8 +24,11 @@ class Source(Described, ABC):
             LogError: A path matches no file.
         """
 
-    def for_joints(self, joints: Sequence[str]) -> "Source":
-        """Return the same source for these joints; their columns are matched by name if possible."""
+    def for_joints(self, joints: Sequence[str], passive: Collection[str] = ()) -> "Source":
+        """Return the same source for these joints; their columns are matched by name if possible.
+
+        Recordings may lack commands of the `passive` joints.
+        """
         return self
 
     @abstractmethod

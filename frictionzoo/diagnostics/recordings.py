@@ -132,6 +132,8 @@ def _check_commands(
     log: Log, bench: Bench, joint: int, closely: bool, followed: Followed | None, drifts: bool, swapped: int | None
 ) -> Iterator[Finding]:
     """Check the command of a joint, alone and against its position."""
+    if bench.joints[joint] in bench.passive:
+        return
     on, of, to_position = _following(log, bench, joint), of_joint(bench.joints, joint), takes_position(bench)
     if np.ptp(log.ctrl[:, joint]) > 0 or not _has_more(log, bench, joint):
         follows = log.qpos[on, joint] if to_position and on.any() else None
@@ -147,7 +149,9 @@ def _check_commands(
 
 
 def _following(log: Log, bench: Bench, joint: int) -> Bool[np.ndarray, "time"]:
-    """Return samples in which a joint should follow its command: it is on, and a recorded gain is above 0."""
+    """Return samples in which a joint should follow its command: it is on, and its gain kp is above 0."""
+    if "kp" in bench.params and bench.initial_values()["kp"][joint] == 0:  # a velocity servo, or no actuator
+        return np.zeros(log.samples, bool)
     on = np.ravel(log.extras.get("enable", np.ones(1))) > 0
     on = on if len(on) == log.samples else np.full(log.samples, on.any())
     return on & (log.inputs["kp"][:, joint] > 0) if "kp" in bench.actuator.inputs else on

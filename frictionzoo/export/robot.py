@@ -298,9 +298,9 @@ def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], 
 def _list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
     """Return group and ranges of a joint's actuator as attributes of an actuator without class and gear, and remarks.
 
-    The command range stays, in the unit of the new actuator, if both actuators take positions or both take torques. If
-    a position controller replaces a motor, the motor's command range limits the force. `law` has the new `gainprm` and
-    `biasprm`.
+    The command range stays, in the unit of the new actuator, if both actuators take positions, velocities or torques.
+    If a position controller replaces a motor, the motor's command range limits the force. `law` has the new `gainprm`
+    and `biasprm`.
     """
     index = before.model.joint(joint).id
     actuators = list_at(before.model, index)
@@ -315,6 +315,8 @@ def _list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[di
     ctrl, force, notes = np.array(read.ctrlrange), np.array(read.forcerange), []
     if read.bias1 and bias1:
         ctrl = _ordered(ctrl * (read.gain / read.bias1) * (bias1 / gain))
+    elif read.kind == "velocity" and bias2 == -gain and not bias1:
+        ctrl = _ordered(ctrl * (read.gain / read.bias2) * (bias2 / gain))
     elif read.kind == "motor" and not (bias1 or bias2):
         ctrl = _ordered(ctrl * (read.gain / gain))
     elif read.kind == "motor" and np.isfinite(ctrl).all():

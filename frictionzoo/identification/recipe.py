@@ -120,7 +120,7 @@ class Parts:
             _log.info("%s: %s", bench.source, note)
         refuse_other_joints(model, bench)
         model.bind(bench.joints)
-        dataset = pair_all(dataset, bench.joints)
+        dataset = pair_all(dataset, bench.joints, bench.passive)
         bench, settings = _divide_interval(bench, settings, dataset.train[0].timestep)
         for columns in describe_columns(dataset.logs, bench.joints) if bench.nv > 1 else ():
             others = len(columns["logs"]) - 1

@@ -14,6 +14,7 @@ from jaxtyping import Bool
 from frictionzoo.bench import Bench
 from frictionzoo.bench.template import DEFAULT_SOLREFFRICTION
 from frictionzoo.core.described import remake
+from frictionzoo.core.errors import BenchError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Segments
@@ -62,6 +63,7 @@ class Trials:
         if self._softness_is_open:
             stiff = [2 * self._step, 1.0] if np.any(model.constrained) else DEFAULT_SOLREFFRICTION
             self._change(solreffriction=list(stiff))
+        self._fix_impossible()
         self._bench = self.bench(OPTIONAL)
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         coordinates = len(Space(self._bench, model, "float64").start)
@@ -79,6 +81,19 @@ class Trials:
         self._lacking = False  # whether the residual exceeds noise
         self._rounded = False  # whether encoder rounding explains the residual
         self._validated: dict[str, float] = {}  # errors on the validation block, by the pilot's settings
+
+    def _fix_impossible(self) -> None:
+        """Fix an encoder offset that the MJCF does not allow."""
+        try:
+            self.bench(OPTIONAL)
+        except BenchError:
+            option = "bench.params.position_offset"
+            if "position_offset" not in self._free:
+                raise
+            self._free.remove("position_offset")
+            reason = "a spring, limit, tendon or reference position of the MJCF would not shift with the encoder"
+            self._choose(f"{option}.identify", False, reason)
+            put(self.settings, f"{option}.init", 0.0)
 
     def bench(self, free: Collection[str] = ()) -> Bench:
         """Return the test stand with the choices so far; `free`: only these open optional parameters are identified."""

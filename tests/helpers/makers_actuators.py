@@ -57,6 +57,10 @@ KINDS = {
     'gear="{0}" {1}/>',
     "affine gain": '<general joint="{{joint}}" gaintype="affine" gainprm="3 0 0" biastype="affine" '
     'biasprm="0 -3 -0.08" gear="{0}" {1}/>',
+    "velocity": VELOCITY,
+    "general velocity": '<general joint="{{joint}}" gainprm="0.03" biastype="affine" biasprm="0 0 -0.03" '
+    'gear="{0}" {1}/>',
+    "velocity and motor": VELOCITY + MOTOR,
     "motor": MOTOR,
     "general motor": '<general joint="{{joint}}" gainprm="2.5" gear="{0}" {1}/>',
     "PID": PID,
@@ -66,6 +70,7 @@ KINDS = {
     "position and motor": POSITION + MOTOR.replace("gear", 'armature="0.003" gear'),
     "all three": STIFF + MOTOR + VELOCITY,
 }
+OF_ONE = {"position": POSITION, "velocity": VELOCITY, "motor": MOTOR}
 GEARS = (1, 2, -3)
 RANGES = {  # of the actuator and of the joint
     "ctrlrange": ('ctrlrange="-0.4 0.9"', ""),
@@ -92,17 +97,16 @@ def variants() -> Iterator[tuple[str, Variant]]:
     """Actuators that a bench holds exactly, by a name of each."""
     for (kind, text), gear in itertools.product(KINDS.items(), GEARS):
         yield f"{kind}, gear {gear}", Variant(text.format(gear, ""))
-    for (what, (own, joint)), (kind, text), gear in itertools.product(
-        RANGES.items(), {"position": POSITION, "motor": MOTOR}.items(), (1, -3)
-    ):
-        yield f"{kind}, gear {gear}, {what}", Variant(text.format(gear, own), joint)
+    for (what, (own, joint)), (kind, text), gear in itertools.product(RANGES.items(), OF_ONE.items(), (1, -3)):
+        if (kind, gear) != ("velocity", 1):
+            yield f"{kind}, gear {gear}, {what}", Variant(text.format(gear, own), joint)
     for what, own in DELAYS.items():
-        for kind, text in {"position": POSITION, "motor": MOTOR, "pair": POSITION + VELOCITY}.items():
+        for kind, text in {**OF_ONE, "pair": POSITION + VELOCITY}.items():
             yield f"{kind}, delay of {what}", Variant(text.format(2, own))
     for what, text in {"inheritrange": 'inheritrange="0.6"', "reflected": 'armature="0.01" damping="0.02"'}.items():
         yield what, Variant(POSITION.format(2, text))
     yield "reflected by both", Variant((POSITION + VELOCITY).format(-2, 'armature="0.004" damping="0.01"'))
-    for kind in ("position", "motor", "PID", "all three"):
+    for kind in ("position", "velocity", "motor", "PID", "all three"):
         yield f"{kind}, implicitfast", Variant(KINDS[kind].format(2, ""), integrator="implicitfast")
     yield (
         "range of the joint, implicitfast",

@@ -50,6 +50,24 @@ def read_actuators(source: Source, joints: Sequence[int]) -> tuple[ReadActuator 
     return read
 
 
+def list_movers(source: Source, joints: Sequence[int]) -> tuple[tuple[str, ...], ...]:
+    """Return the names of the actuators with a command that move each joint, also by a tendon or a site."""
+    model, data = source.model, mujoco.MjData(source.model)
+    data.qpos[:] = model.qpos0
+    scalar = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
+    data.qpos[model.jnt_qposadr[scalar]] += np.linspace(0.1, 0.2, scalar.sum())  # some transmissions rest at 0
+    mujoco.mj_fwdPosition(model, data)
+    commanded = [index for index in range(model.nactuator) if model.actuator_ctrlnum[index]]
+    movers = []
+    for joint in joints:
+        data.qvel[:] = 0
+        data.qvel[source.dof(joint)] = 1
+        mujoco.mj_fwdVelocity(model, data)
+        acting = [index for index in commanded if data.actuator_velocity[model.actuator_outadr[index]]]
+        movers.append(tuple(source.name("actuator", index) for index in acting))
+    return tuple(movers)
+
+
 def read_friction(source: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, "nv"]]:
     """Return the bristle friction of each joint, by the parameter names of `lugre`; NaN if the file has none."""
     model, motors = source.model, dict[int, list[int]]()
@@ -178,7 +196,7 @@ def _kind(gain: float, bias0: float, bias1: float, bias2: float) -> str:
 
 def _commands(model: mujoco.MjModel, index: int, kind: str) -> Iterator[Command]:
     first, gear = int(model.actuator_ctrladr[index]), float(model.actuator_gear[index, 0])
-    yield Command(first, "ctrl", 1 / gear if kind == "position" and gear else 1.0)
+    yield Command(first, "ctrl", 1 / gear if kind in ("position", "velocity") and gear else 1.0)
     if model.actuator_gaintype[index] != mujoco.mjtGain.mjGAIN_PID:
         return
     inputs = {mujoco.mjtCtrlInput.mjINPUT_VEL: ("ctrl_velocity", 1 / gear if gear else 1.0)}

@@ -59,9 +59,9 @@ class ReadActuator:
         return clip_range((float(ends[0]), float(ends[1])), self.forcerange)
 
     @property
-    def positions(self) -> tuple[float, float]:
-        """Range of desired positions [rad or m]; NaN without a range or a position command."""
-        if self.kind != "position":
+    def targets(self) -> tuple[float, float]:
+        """Range of desired positions [rad or m] or velocities [rad/s or m/s]; NaN without a range or such a command."""
+        if self.kind not in ("position", "velocity"):
             return np.nan, np.nan
         low, high = np.sort(np.array(self.ctrlrange) / self.gear)
         return float(low), float(high)
@@ -93,33 +93,33 @@ def combine(source: Source, joint: str, read: Sequence[ReadActuator]) -> ReadAct
     names = [actuator.name for actuator in read]
     parts = {actuator.kind: actuator for actuator in read}
     is_simple = len(parts) == len(read) and all(len(actuator.commands) == 1 for actuator in read)
-    if not is_simple or not {"position"} <= parts.keys() <= {"position", "velocity", "motor"}:
+    if not is_simple or parts.keys() - {"position", "velocity", "motor"}:
         source.note(f"joint {joint} has {len(read)} actuators: {names[0]} is read, and {{}} left out", names[1:])
         return read[0]
     source.note(f"joint {joint}: actuators {{}} are one controller of position, velocity and torque", names)
+    main = parts.get("position") or parts["velocity"]
     if len({actuator.delay for actuator in read}) > 1:
-        late = f"all of their commands are {parts['position'].delay:g} s late"
-        source.note(f"delays of actuators {{}} differ: {late}", names)
+        source.note(f"delays of actuators {{}} differ: all of their commands are {main.delay:g} s late", names)
     limited = [
         part.name
         for part in read
-        if not np.isnan(part.forcerange).all() or (part.kind != "position" and not np.isnan(part.ctrlrange).all())
+        if not np.isnan(part.forcerange).all() or (part is not main and not np.isnan(part.ctrlrange).all())
     ]
     source.note(f"ranges of actuators {{}} are left out: they end a part of the torque of joint {joint}", limited)
-    return _together(parts, " + ".join(names))
+    return _together(main, parts, " + ".join(names))
 
 
-def _together(parts: Mapping[str, ReadActuator], name: str) -> ReadActuator:
-    position, velocity, motor = (parts.get(kind) for kind in ("position", "velocity", "motor"))
-    assert position is not None
-    damping = position.bias2 + (velocity.bias2 if velocity else 0.0)
-    commands = list(position.commands)
+def _together(main: ReadActuator, parts: Mapping[str, ReadActuator], name: str) -> ReadActuator:
+    velocity, motor = parts.get("velocity"), parts.get("motor")
+    velocity = None if velocity is main else velocity
+    damping = main.bias2 + (velocity.bias2 if velocity else 0.0)
+    commands = list(main.commands)
     if velocity is not None:  # share of the velocity actuator in the total damping
         factor = velocity.gain / -damping if damping else 0.0
         commands.append(Command(velocity.commands[0].index, "ctrl_velocity", factor))
     if motor is not None:
         commands.append(Command(motor.commands[0].index, "ctrl_torque", motor.gain))
-    return replace(position, name=name, bias2=damping, forcerange=(np.nan, np.nan), commands=tuple(commands))
+    return replace(main, name=name, bias2=damping, forcerange=(np.nan, np.nan), commands=tuple(commands))
 
 
 def without_others(

@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.compiled import can_collide
-from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping, read_friction
+from frictionzoo.bench.robot_file.actuators import (
+    list_movers,
+    read_actuators,
+    read_armature,
+    read_damping,
+    read_friction,
+)
 from frictionzoo.bench.robot_file.controllers import ReadActuator, clip_range, range_of
 from frictionzoo.bench.robot_file.couplings import add_contacts, add_equalities, add_tendons
 from frictionzoo.bench.robot_file.options import acting, is_fluid, write_option
@@ -32,9 +38,10 @@ class RobotFile:
             including its actuators'.
         bristles: Friction of the `<dcmotor>`s, by the parameter names of `lugre`; NaN for a joint without bristles.
         actuators: None for a joint without a supported actuator.
+        movers: Names of the actuators with a command that move each joint, also those that are not supported.
         ranges: Limits of each joint's position [rad or m]; NaN without a limit.
         forceranges: Torque limits of each joint [N m or N], from joint and actuator; NaN without a limit.
-        ctrlranges: Limits of each joint's desired position [rad or m]; NaN without a limit.
+        ctrlranges: Limits of each joint's desired position [rad or m] or velocity [rad/s or m/s]; NaN without a limit.
         delays: Delay of each joint's commands [s]; 0 without an actuator.
         notes: Features that were left out or changed, one line each.
     """
@@ -44,11 +51,18 @@ class RobotFile:
     values: Mapping[str, Float[np.ndarray, "nv"]]
     bristles: Mapping[str, Float[np.ndarray, "nv"]]
     actuators: tuple[ReadActuator | None, ...]
+    movers: tuple[tuple[str, ...], ...]
     ranges: Float[np.ndarray, "nv 2"]
     forceranges: Float[np.ndarray, "nv 2"]
     ctrlranges: Float[np.ndarray, "nv 2"]
     delays: Float[np.ndarray, "nv"]
     notes: tuple[str, ...]
+
+    @property
+    def passive(self) -> tuple[str, ...]:
+        """Joints that no actuator moves, in a file whose actuators move other joints."""
+        without = tuple(joint for joint, movers in zip(self.joints, self.movers, strict=True) if not movers)
+        return without if len(without) < len(self.joints) else ()
 
 
 def read_robot(
@@ -108,9 +122,10 @@ def read_robot(
         values,
         bristles,
         actuators,
+        list_movers(file, joints),
         np.array([range_of(model.jnt_range[joint], model.jnt_limited[joint]) for joint in joints]),
         np.array([_force_limit(file, joint, read) for joint, read in zip(joints, actuators, strict=True)]),
-        np.array([(np.nan, np.nan) if read is None else read.positions for read in actuators]),
+        np.array([(np.nan, np.nan) if read is None else read.targets for read in actuators]),
         np.array([0.0 if read is None else read.delay for read in actuators]),
         tuple(dict.fromkeys(file.notes)),
     )
