@@ -5,7 +5,6 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from helpers.makers_actuators import (
     VELOCITY,
     Variant,
     as_recorded,
+    compare_in_c,
     draw,
     moved_by,
     save,
@@ -32,8 +32,7 @@ from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.core.errors import BenchError, FrictionzooError
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.simulation import friction_of, make_engine
-from frictionzoo.simulation.proof import Cases, simulate_in_c
-from frictionzoo.simulation.rollout import applied, make_rollout
+from frictionzoo.simulation.rollout import make_rollout
 
 VARIANTS = dict(variants())
 SAME = 1e-9
@@ -44,17 +43,6 @@ KNOWN = {"armature": {"identify": False}}
 def x64() -> object:
     with jax.enable_x64(True):
         yield
-
-
-def compare_in_c(robot: fz.Robot, makers: mujoco.MjModel) -> float:
-    """Largest distance of the bench's MJCF and controller from the maker's file, both in MuJoCo C."""
-    states, ctrl = draw(makers.nv, makers.nu)
-    sampling, values = robot.sampling(robot.timestep), values_of(robot)
-    commands = as_recorded(robot, ctrl, sampling.history).map(jnp.asarray)
-    acting = applied(jax.tree.map(jnp.asarray, values), commands, sampling).map(lambda one: np.asarray(one)[:, :, 0])
-    law = MujocoDefault(robot.nv, {name: value.tolist() for name, value in values["friction"].items()})
-    ours = simulate_in_c(robot, law, values, Cases(states[0], states[1], acting, np.zeros((len(ctrl), 0))))[:2]
-    return float(np.abs(ours - moved_by(makers, states, ctrl)).max())
 
 
 def test_a_bench_is_the_makers_file(tmp_path: Path) -> None:

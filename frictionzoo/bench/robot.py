@@ -97,10 +97,11 @@ class Robot(Bench):
         options: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
         options |= {"gravity": gravity, "second_order": second_order, "integrator": integrator, "timestep": timestep}
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **options)
-        self.notes = (*self.file.notes, *dict.fromkeys(self._said))
         if limits == "leave_out":
             self.unlimited = self.file.ranges
         self.passive = self._list_passive()
+        self._say_drives()
+        self.notes = (*self.file.notes, *dict.fromkeys(self._said))
 
     def _open(self, mjcf: str, joint: Joints) -> Template:
         return Template(mjcf, self.file.root, self.file.joints)
@@ -139,6 +140,17 @@ class Robot(Bench):
         return tuple(
             joint for joint, own in zip(self.joints, torque, strict=True) if own == 0 and joint in self.file.passive
         )
+
+    def _say_drives(self) -> None:
+        """Note the joints without an actuator, and those with a velocity servo."""
+        if self.passive:
+            without = "no torque but that of friction and springs, and recordings need no command of them"
+            self._said.append(f"joints without an actuator, {listed(self.passive)}: {without}")
+        if isinstance(self.actuator, JointPD) and not self.actuator.all_stiff:
+            values = self.initial_values()
+            servos = (values["kp"] == 0) & (values["kd"] > 0)
+            names = [joint for joint, is_servo in zip(self.joints, servos, strict=True) if is_servo]
+            self._said += [f"velocity servos of joint {listed(names)}: ctrl is the desired velocity"] if names else []
 
     def _with_ranges(self, actuator: Actuator) -> Actuator:
         """Return the actuator law with the file's limits; limits in the law's parameters have precedence."""

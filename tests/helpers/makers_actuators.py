@@ -5,12 +5,17 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench
 from frictionzoo.core.state import Signals
+from frictionzoo.models.mujoco_default import MujocoDefault
+from frictionzoo.simulation.proof import Cases, simulate_in_c
+from frictionzoo.simulation.rollout import applied
 
 STEP, STEPS, ROLLOUTS = 0.004, 30, 2
 ARM = """<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="{integrator}"/>
@@ -154,3 +159,14 @@ def values_of(robot: Bench) -> Mapping[str, Any]:
     assert isinstance(robot, fz.Robot)
     known = robot.initial_values() | {"armature": robot.file.values["armature"]}
     return {"bench": known, "friction": {name: robot.file.values[name] for name in ("frictionloss", "damping")}}
+
+
+def compare_in_c(robot: fz.Robot, makers: mujoco.MjModel) -> float:
+    """Largest distance of the bench's MJCF and controller from the maker's file, both in MuJoCo C."""
+    states, ctrl = draw(makers.nv, makers.nu)
+    sampling, values = robot.sampling(robot.timestep), values_of(robot)
+    commands = as_recorded(robot, ctrl, sampling.history).map(jnp.asarray)
+    acting = applied(jax.tree.map(jnp.asarray, values), commands, sampling).map(lambda one: np.asarray(one)[:, :, 0])
+    law = MujocoDefault(robot.nv, {name: value.tolist() for name, value in values["friction"].items()})
+    ours = simulate_in_c(robot, law, values, Cases(states[0], states[1], acting, np.zeros((len(ctrl), 0))))[:2]
+    return float(np.abs(ours - moved_by(makers, states, ctrl)).max())
