@@ -236,12 +236,12 @@ class Bench(Described):
 
         A fit would change the other parameters to compensate for errors of the friction model.
         """
-        armature = np.asarray(values["armature"])
-        low, high = float(armature.min()) / 100, float(armature.max()) * 100
         params = {name: replace(param, identify=False) for name, param in self.params.items()}
-        params["armature"] = Param("armature", "inertia", float(armature[0]), low, high, scale="log", identify=True)
-        start = {name: np.array(value) for name, value in values.items()}
-        return self._changed(params=params, _tie=None, _start=start)
+        free = np.asarray(values["armature"]) > 0  # a joint without a drive may have none
+        if len(own := np.asarray(values["armature"])[free].tolist()):
+            bounds = min(own) / 100, max(own) * 100, "log"
+            params["armature"] = Param("armature", "inertia", own[0], *bounds, tuple(free.tolist()))
+        return self._changed(params=params, _tie=None, _start={n: np.array(value) for n, value in values.items()})
 
     def observing(self, inputs: Mapping[str, float]) -> "Bench":
         """Return the bench for a friction model with these `inputs` in addition to the state.

@@ -115,11 +115,7 @@ class Robot(Bench):
             elif name == "delay" and not self._known[name].any():
                 filled |= {name: replace(param, init=0.0)} if param.is_identified else {}
             elif name in self._known:
-                if name in _GAINS and 0 in self._known[name] and param.is_identified:
-                    has_gain = (self._known[name] != 0) | (name == "kd") & (self._known.get("kp", 0) != 0)
-                    free = replace(param, init=0.0, low=-1.0, high=1.0, scale=1.0).for_joints(self.joints)
-                    param = replace(param, identify=tuple((free.each("identify", self.nv) & has_gain).tolist()))
-                filled[name] = self._begin(param, self._known[name])
+                filled[name] = self._begin(self._with_known(param), self._known[name])
                 self._say_begun(filled[name])
             elif name not in self.actuator.optional or param.is_identified:
                 option = f"bench.actuator.params.{name}.init"
@@ -127,6 +123,20 @@ class Robot(Bench):
                 raise MissingValueError(f"{self.source}: no {name} in the file; give {option}")
         refuse_negative(f"{self.source}: ", filled)
         return filled
+
+    def _with_known(self, param: Param) -> Param:
+        """Return the parameter without a fit of gains and armature that a joint without a drive lacks."""
+        values, passive = self._known[param.name], np.isin(self.joints, self.file.passive)
+        if param.name == "armature":
+            lacking = passive & (values == 0)
+        elif param.name in _GAINS:
+            lacking = (values == 0) & ((param.name != "kd") | (self._known.get("kp", values) == 0))
+        else:
+            return param
+        if not param.is_identified or not lacking.any():
+            return param
+        free = replace(param, init=0.0, low=-np.inf, high=np.inf, scale=1.0).for_joints(self.joints)
+        return replace(param, identify=tuple((free.each("identify", self.nv) & ~lacking).tolist()))
 
     def _list_passive(self) -> tuple[str, ...]:
         """Return the joints that no actuator of the file moves, if the law gives them no torque without commands."""
@@ -144,7 +154,7 @@ class Robot(Bench):
     def _say_drives(self) -> None:
         """Note the joints without an actuator, and those with a velocity servo."""
         if self.passive:
-            without = "no torque but that of friction and springs, and recordings need no command of them"
+            without = "no torque but that of friction and springs; recordings need no command of them"
             self._said.append(f"joints without an actuator, {listed(self.passive)}: {without}")
         if isinstance(self.actuator, JointPD) and not self.actuator.all_stiff:
             values = self.initial_values()
