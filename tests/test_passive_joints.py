@@ -157,3 +157,19 @@ def test_a_gain_of_zero_stays_where_others_are_identified(tmp_path: Path) -> Non
     assert robot.params["kp"].identify == (True, False, False) and robot.params["kd"].identify == (True, True, False)
     values = robot.initial_values()
     assert values["kp"][1:].tolist() == [0, 0] and values["kd"][2] == 0 and values["kd"][0] > 0
+
+
+def test_joints_of_several_types_are_named(tmp_path: Path) -> None:
+    path = Path(write(tmp_path, ("stiff", "velocity", "none")))
+    path.write_text(path.read_text().replace('name="elbow" axis', 'name="elbow" type="slide" axis'))
+    with pytest.raises(BenchError, match=r"waist \(hinge\), shoulder \(hinge\), elbow \(slide\).*bench\.joint"):
+        fz.Robot(str(path))
+    assert fz.Robot(str(path), "elbow").joint_type == "slide"
+
+
+def test_another_model_is_fitted_on_joints_without_armature(tmp_path: Path) -> None:
+    robot = fz.Robot(write(tmp_path, ("stiff", "none", "velocity")))
+    values = robot.initial_values() | {"armature": np.array([0.02, 0.0, 0.05])}
+    again = robot.restarted(values)
+    assert again.params["armature"].identify == (True, False, True)
+    assert again.initial_values()["armature"].tolist() == [0.02, 0.0, 0.05]

@@ -159,10 +159,14 @@ class Template:
         Raises:
             BenchError: The joints have different types, or an unsupported type.
         """
-        types = set(map(joint_type, model.jnt_type))
-        if len(types) != 1 or not types <= {"hinge", "slide"}:
-            self._fail("joints of several or unsupported types, expected all hinge or all slide")
-        return types.pop()
+        types = [joint_type(kind) for kind in model.jnt_type]
+        if len({*types}) != 1 or not {*types} <= {"hinge", "slide"}:
+            listed = ", ".join(f"{model.joint(index).name} ({kind})" for index, kind in enumerate(types))
+            self._fail(
+                f"joints of several or unsupported types, {listed}; expected all hinge or all slide; choose joints of "
+                "one type (bench.joint), and bench=robot fixes the others"
+            )
+        return types[0]
 
     def find_body(self, model: mujoco.MjModel, name: str) -> int:
         """Return the index of the body that carries payloads.
