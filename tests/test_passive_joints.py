@@ -160,7 +160,7 @@ def test_a_gain_of_zero_stays_where_others_are_identified(tmp_path: Path) -> Non
 
 
 def test_joints_of_several_types_are_named(tmp_path: Path) -> None:
-    path = Path(write(tmp_path, ("stiff", "velocity", "none")))
+    path = Path(write(tmp_path, ("stiff", "none", "velocity")))
     path.write_text(path.read_text().replace('name="elbow" axis', 'name="elbow" type="slide" axis'))
     with pytest.raises(BenchError, match=r"waist \(hinge\), shoulder \(hinge\), elbow \(slide\).*bench\.joint"):
         fz.Robot(str(path))
