@@ -36,7 +36,7 @@ from frictionzoo.result.comparison.runs import Failure
 from frictionzoo.simulation.context import refuse_late_fork
 
 # Options in error messages whose Python argument has another name; similar text inside a file path does not match.
-_DATA = "columns|units|sign|fields|fields_from_name|where|exclude|inputs|payload|clean"
+_DATA = "columns|units|registers|sign|fields|fields_from_name|where|exclude|inputs|payload|clean"
 _ARGUMENTS = {
     r"data\.split(\.test_share)?": "test",
     r"data\.train\b(?!\.)": "recordings",
@@ -67,6 +67,7 @@ def read(
     format: str = "auto",
     columns: Mapping[str, str | Sequence[str] | None] | None = None,
     units: Mapping[str, str | None] | None = None,
+    registers: str | Mapping[str, Any] | None = None,
     sign: Mapping[str, int | Sequence[int]] = UPRIGHT,
     fields: Mapping[str, Any] | None = None,
     fields_from_name: str | None = None,
@@ -88,6 +89,7 @@ def read(
         columns: Header or headers of each signal (`time`, `qpos`, `qvel`, `ctrl`, `ctrl_velocity`, `ctrl_torque`, `kp`,
             `kd`, `torque`, `supply`, `enable`, `temperature`); by default guessed from the headers.
         units: Unit of each signal in the recordings; by default guessed from headers and numbers.
+        registers: Servo series whose raw registers the recordings hold, as in `data.registers`; by default detected.
         sign: 1 or -1 for qpos, qvel, ctrl, ctrl_velocity, ctrl_torque and torque, or a list with one for each joint.
         fields: Values that hold for all recordings, such as gains and payload.
         fields_from_name: Regular expression for file names; its named groups become fields.
@@ -112,7 +114,8 @@ def read(
     in_memory = [recording for recording in recordings if not isinstance(recording, str | Path)]
     tables = [_to_table(f"recording {number} in memory", recording) for number, recording in enumerate(in_memory, 1)]
     tests = [str(path) for path in ([test] if isinstance(test, str | Path) else test)]
-    options = {"format": format, "columns": columns, "units": units, "sign": sign, "fields": fields, "where": where}
+    options = {"format": format, "columns": columns, "units": units, "registers": registers, "sign": sign}
+    options |= {"fields": fields, "where": where}
     options |= {"fields_from_name": fields_from_name, "exclude": exclude, "inputs": inputs, "payload": payload}
     return Files(name, paths, tests, clean=clean, origin=origin, **options).read(tables)
 

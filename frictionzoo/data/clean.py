@@ -21,14 +21,17 @@ from frictionzoo.core.log import JITTER, Log
 from frictionzoo.data.recording import COMMANDS, HELD, SIGNALS, Recording, refuse_incomplete
 from frictionzoo.data.signals import (
     FOLLOWED,
+    SAME_PERIOD,
     check_filter,
     count_spikes,
     estimate_velocity,
     find_breaks,
     find_outliers,
     find_velocity_lag,
+    find_wrap,
     repair_spikes,
     sample_signal,
+    unwrap,
 )
 from frictionzoo.data.velocity import compare_velocities, find_dead_velocities, of_joints
 
@@ -45,6 +48,8 @@ SEVERAL = 5  # fewest occurrences of each rounded interval; a gap may occur once
 ROUNDED = 0.55  # largest error of a rounded time, as a share of the rounding step
 TIMES_ROUNDED = "times are rounded to"
 """Beginning of the repair sentence for rounded times."""
+AUTO = "auto"
+"""Value of an option whose number is found in the recording."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
@@ -60,7 +65,8 @@ class Cleaning(Described):
             nor advances it.
         gap: Longest interval, in medians, that does not split a recording. Longer runs of NaN split it too; shorter
             ones are interpolated.
-        wrap: Period of wrapped positions, which are unwrapped [rad]; None for no change.
+        wrap: Period of wrapped positions, which are unwrapped [rad or m]; `auto` finds it, joint by joint; None for no
+            change. Desired positions that jump by the same period are unwrapped along with the position.
         spikes: Treatment of isolated spikes of one or two samples. `repair` interpolates them in continuous signals and
             replaces outliers of commands by the previous value; `drop` leaves out recordings with a spike in the
             position; `keep` keeps them.
@@ -82,7 +88,7 @@ class Cleaning(Described):
     step: float | None = None
     resample: str = "linear"
     gap: float = 5.0
-    wrap: float | None = None
+    wrap: float | str | None = None
     spikes: str = "keep"
     velocity: str = "auto"
     cutoff: float = 20.0
@@ -100,13 +106,17 @@ class Cleaning(Described):
         for option, is_valid, expected in (
             ("step", self.step is None or self.step > 0, "a positive time in s, or null"),
             ("gap", self.gap >= 1.5, "at least 1.5 median intervals"),
-            ("wrap", self.wrap is None or self.wrap > 0, "a positive angle in rad, or null"),
+            ("wrap", self.wrap in (None, AUTO) or _is_positive(self.wrap), "a positive angle in rad, auto or null"),
             ("shortest", self.shortest >= 0, "a time in s from 0 on"),
-            ("velocity_lag", self.velocity_lag == "auto" or _is_time(self.velocity_lag), "a time in s, auto or null"),
+            ("velocity_lag", self.velocity_lag == AUTO or _is_time(self.velocity_lag), "a time in s, auto or null"),
             ("command_lag", _is_time(self.command_lag), "a time in s, or null"),
         ):
             if not is_valid:
                 raise ConfigError(f"data.clean.{option}={getattr(self, option)}: expected {expected}")
+
+
+def _is_positive(value: Any) -> bool:
+    return not isinstance(value, str) and value > 0
 
 
 def _is_time(lag: Any) -> bool:
@@ -172,6 +182,7 @@ def _finish(piece: Recording, cleaning: Cleaning) -> Log:
         repairs=piece.notes,
         metadata=piece.fields,
         columns=piece.columns,
+        units=piece.units,
     )
 
 
@@ -199,12 +210,27 @@ def _drop_repeated(piece: Recording) -> Recording:
     return piece.keep(is_new).say(f"samples with a repeated time dropped: {(~is_new).sum()}")
 
 
-def _unwrap(piece: Recording, turn: float | None) -> Recording:
-    if turn is None:
+def _unwrap(piece: Recording, wrap: float | str | None) -> Recording:
+    """Unwrap positions, and desired positions that jump by the same period."""
+    qpos, ctrl = piece.signals["qpos"].copy(), piece.signals["ctrl"].copy()
+    turns, periods = 0, set[float]()
+    for joint, wrapped in enumerate(piece.signals["qpos"].T):
+        period = find_wrap(wrapped) if isinstance(wrap, str) else wrap
+        if period is None:
+            continue
+        qpos[:, joint] = unwrap(wrapped, period)
+        turns += int(np.count_nonzero(np.diff(np.round((qpos[:, joint] - wrapped) / period))))
+        periods.add(period)
+        jumps = find_wrap(ctrl[:, joint]) if ctrl.shape == qpos.shape else None
+        if jumps is not None and abs(jumps / period - 1) < SAME_PERIOD:
+            command = unwrap(ctrl[:, joint], period)
+            apart = np.nanmedian(qpos[:, joint] - command)
+            ctrl[:, joint] = command + period * np.round(apart / period)
+    if not turns and (wrap is None or isinstance(wrap, str)):
         return piece
-    qpos = np.unwrap(piece.signals["qpos"], period=turn, axis=0)
-    turns = np.count_nonzero(np.diff(np.round((qpos - piece.signals["qpos"]) / turn), axis=0))
-    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns of the position unwrapped: {turns}")
+    found = f", period {' and '.join(f'{period:.6g}' for period in sorted(periods))}" if isinstance(wrap, str) else ""
+    signals = {**piece.signals, "qpos": qpos, "ctrl": ctrl}
+    return replace(piece, signals=signals).say(f"turns of the position unwrapped: {turns}{found}")
 
 
 def _drop_velocity(piece: Recording, cleaning: Cleaning) -> Recording:

@@ -18,6 +18,7 @@ from frictionzoo.data.logs import InMemory, Logs
 from frictionzoo.data.pairing import arrange, arrange_recording, has_names, reorder
 from frictionzoo.data.propose import Proposal, propose
 from frictionzoo.data.recording import SIGNALS, TURNED, Recording, Table
+from frictionzoo.data.registers import SERIES, UNDETECTED, Registers, decode_table, read_registers
 from frictionzoo.data.select import Selection, choose_payloads
 from frictionzoo.data.source import Source, register_source
 from frictionzoo.data.split import Split
@@ -28,6 +29,7 @@ UPRIGHT: Mapping[str, int] = dict.fromkeys(TURNED, 1)
 AS_IT_IS = Cleaning()
 """Default cleaning."""
 _log = logging.getLogger(__name__)
+_Inferred = tuple[dict[str, Any], dict[str, str], Registers | None]  # columns, units and registers of a table
 
 
 @register_source("files")
@@ -50,6 +52,7 @@ class Files(Source):
         format: str = "auto",
         columns: Mapping[str, Any] | None = None,
         units: Mapping[str, str | None] | None = None,
+        registers: Any = None,
         sign: Mapping[str, int | Sequence[int]] = UPRIGHT,
         fields: Any = None,
         fields_from_name: str | None = None,
@@ -72,7 +75,7 @@ class Files(Source):
         )
         self.columns = {s: list_names(f"columns.{s}", value) for s, value in _signals("columns", columns).items()}
         self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
-        self.sign = _signs(sign)
+        self.registers, self.sign = read_registers(registers), _signs(sign)
         for signal, unit in self.units.items():
             ratio(signal, unit)  # refuses an unknown unit, even of a signal that no file has
         fields, where, exclude = (
@@ -151,19 +154,28 @@ class Files(Source):
 
     def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
         """Convert tables to recordings; infer missing options once for all tables with the same headers."""
-        inferred: dict[frozenset[str], tuple[dict[str, Any], dict[str, str]]] = {}
+        inferred: dict[frozenset[str], _Inferred] = {}
         for table in tables:
             headers = frozenset(table.columns)
             if headers not in inferred:
                 inferred[headers] = self._complete(table)
-        recordings = [
-            to_recording(table, *inferred[frozenset(table.columns)], self.simulated, self.columns) for table in tables
-        ]
+        recordings = [self._convert(table, *inferred[frozenset(table.columns)]) for table in tables]
         turned = [
             replace(recording, signals={signal: self._turn(recording, signal) for signal in recording.signals})
             for recording in recordings
         ]
         return self._arrange(turned) if self.joints else turned
+
+    def _convert(
+        self, table: Table, columns: Mapping[str, Any], units: Mapping[str, str], registers: Registers | None
+    ) -> Recording:
+        """Convert a table to a recording that knows which units were stated."""
+        stated = dict(self.units)
+        if registers is not None:
+            signals = {signal: list_names(f"columns.{signal}", names) for signal, names in columns.items()}
+            table = decode_table(table, signals, registers)
+            stated = dict.fromkeys(("qpos", "qvel"), "ticks") | stated
+        return replace(to_recording(table, columns, units, self.simulated, self.columns), units=stated)
 
     def _turn(self, recording: Recording, signal: str) -> np.ndarray:
         """Return a signal times its sign, or times one sign a column."""
@@ -186,21 +198,34 @@ class Files(Source):
             _log.info("%s: %s", self.name, line)
         return [recording for recording, _ in arranged]
 
-    def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
-        proposal = propose(table, self.joints, self.columns, self.passive)
+    def _complete(self, table: Table) -> "_Inferred":
+        proposal = self._propose(table)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
         # An inferred unit holds only for the inferred headers, which the options may name too.
         same = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
         units = {signal: unit for signal, unit in proposal.units.items() if signal in same - set(self.units)}
         already_named = all(headers == (signal,) for signal, headers in columns.items())
-        if not already_named or units:
+        if not already_named or units or proposal.registers:
             level = logging.INFO if proposal.certain else logging.WARNING
             origins = {signal: Columns(headers) for signal, headers in columns.items()}
             if self.joints:
                 origins = reorder(origins, arrange(table.name, origins, self.joints, self.passive))
-            text = " ".join(Proposal({signal: origin.headers for signal, origin in origins.items()}, units).overrides())
+            headers = {signal: origin.headers for signal, origin in origins.items()}
+            text = " ".join(replace(proposal, columns=headers, units=units).overrides())
             _log.log(level, "%s: inferred from names and numbers in %s: %s", self.name, table.name, text)
-        return {**columns, **self.columns}, {**units, **self.units}
+        registers = SERIES[proposal.registers] if proposal.registers else self.registers
+        stated = registers if isinstance(registers, Registers) else None
+        return {**columns, **self.columns}, {**units, **self.units}, stated
+
+    def _propose(self, table: Table) -> Proposal:
+        """Propose columns and units; no registers for a position column or unit that the user stated otherwise."""
+        proposal = propose(table, self.joints, self.columns, self.registers, self.passive)
+        if proposal.registers is None:
+            return proposal
+        headers, unit = proposal.columns["qpos"], self.units.get("qpos")
+        if self.columns.get("qpos", headers) == headers and SERIES[proposal.registers].suits(unit):
+            return proposal
+        return propose(table, self.joints, self.columns, UNDETECTED, self.passive)
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
         logs = []
@@ -209,7 +234,7 @@ class Files(Source):
                 name: np.full((log.samples, 1), _constant(recording, name, value))
                 for name, value in self.inputs.items()
             }
-            logs.append(replace(log, payload=payload, extras={**log.extras, **constants}, units=self.units))
+            logs.append(replace(log, payload=payload, extras={**log.extras, **constants}))
         return logs
 
     def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:

@@ -62,6 +62,7 @@ class Recording:
         simulated: Whether a simulator made it; None: not stated.
         notes: Changes so far, a sentence each: by bringing the signals to common times, and by cleaning.
         columns: Origin of the columns by signal.
+        units: Stated unit of signals by name, before conversion to SI; others are missing.
         without_velocity: Numbers of the joints whose qvel is estimated from qpos.
     """
 
@@ -73,6 +74,7 @@ class Recording:
     simulated: bool | None = None
     notes: tuple[str, ...] = ()
     columns: Mapping[str, Columns] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     without_velocity: tuple[int, ...] = ()
 
     def say(self, *sentences: str) -> "Recording":

@@ -21,6 +21,10 @@ LONGEST_LAG = 0.1  # s; searched on either side
 ALIKE = 0.9  # least correlation of two signals that are delayed copies of each other
 ORDER = 2  # of the filter for velocity; its cut-off is a tenth of the sample rate, at most 50 Hz
 _DIFFERENCES = 6  # largest order of differences used to estimate noise
+JUMPED = 0.8  # smallest jump of a wrapped position, as a share of its range
+BESIDE = 0.25  # largest motion beside a jump, as a share of the jump
+SAME_PERIOD = 0.02  # relative difference of periods that are the same
+ENCODERS = range(9, 25)  # bits of an encoder whose turn is a power of two
 MOST_ORDER = 20  # of a filter; at higher orders its coefficients are rounding errors
 
 Signal = Float[np.ndarray, "time"]
@@ -80,6 +84,39 @@ def find_outliers(signal: Signal) -> Bool[np.ndarray, "time"]:
     for first, last in np.flatnonzero(np.diff(far, prepend=False, append=False)).reshape(-1, 2):
         far[first:last] = last - first <= WIDEST
     return far
+
+
+def find_wrap(position: Signal) -> float | None:
+    """Return the period by which a position jumps although it moves on; None if it does not jump.
+
+    Motion beside a jump is small and goes the other way. A period near a turn in radians, degrees, turns or ticks is
+    that turn; another one must occur twice.
+    """
+    steps = np.diff(position[np.isfinite(position)])
+    if len(steps) < 3:
+        return None
+    before, jump, after = steps[:-2], steps[1:-1], steps[2:]
+    motion = (before + after) / 2
+    beside = np.maximum(np.abs(before), np.abs(after))
+    jumps = (np.abs(jump) > JUMPED * float(np.ptp(position[np.isfinite(position)]))) & (jump * motion < 0)
+    jumps &= beside < BESIDE * np.abs(jump)
+    periods = np.abs(jump - motion)[jumps]
+    if not len(periods):
+        return None
+    period = float(np.median(periods))
+    known = [math.tau, 360.0, 1.0, *(2.0**bits for bits in ENCODERS)]
+    nearest = min(known, key=lambda turn: abs(math.log(period / turn)))
+    if abs(period / nearest - 1) < SAME_PERIOD:
+        return nearest
+    return period if len(periods) > 1 and np.ptp(periods) < SAME_PERIOD * period else None
+
+
+def unwrap(position: Signal, period: float | None) -> Signal:
+    """Return a position without its jumps by a period; None changes nothing, and missing samples stay missing."""
+    unwrapped, finite = position.copy(), np.isfinite(position)
+    if period is not None:
+        unwrapped[finite] = np.unwrap(position[finite], period=period)
+    return unwrapped
 
 
 def find_quantum(signal: Signal) -> float | None:

@@ -71,3 +71,28 @@ def to_si(values: Real[np.ndarray, "rows"], fraction: Ratio) -> Float[np.ndarray
         if numerator != 1:
             scaled = scaled * numerator
         return scaled / denominator
+
+
+SLOW_JOINT = 25.0  # per second; a joint that moves at most this many degrees per second hardly shows its friction
+WHOLE_RANGE = 720.0  # degrees; a joint that turns further has no range, so that its many turns are no sign of degrees
+ONE_WAY = 0.2  # share of the way in the rarer direction, below which a joint turns on and on
+
+
+def could_be_degrees(position: Float[np.ndarray, "rows"], time: Float[np.ndarray, "rows"] | None = None) -> bool:
+    """Return whether an angle in an unknown unit moves like a joint in degrees rather than a wheel in radians.
+
+    A wheel turns on and on, or further than the range of any joint; a joint moves to and fro, by many degrees per
+    second. `time` is in s; None: not considered.
+    """
+    finite = np.isfinite(position)
+    steps = np.diff(position[finite])
+    way = float(np.abs(steps).sum())
+    back = min(float(steps[steps > 0].sum()), -float(steps[steps < 0].sum()))
+    span = float(np.ptp(position[finite])) if finite.any() else 0.0
+    if span > WHOLE_RANGE or not back > ONE_WAY * way / 2:
+        return False
+    if time is None:
+        return True
+    intervals = np.diff(time[finite])
+    speeds = np.abs(steps[intervals > 0]) / intervals[intervals > 0]
+    return not len(speeds) or float(np.quantile(speeds, 0.99)) > SLOW_JOINT

@@ -143,7 +143,7 @@ def _check_commands(
     faults = [] if followed is None else list(check_following(log, of, bench, joint, followed, drifts, swapped))
     yield from faults
     if not faults and bench.joint_type == "hinge":
-        yield from check_turns(of, log.qpos[:, joint], bench.unlimited[joint])
+        yield from check_turns(of, log, joint, bench.unlimited[joint])
     if closely and not to_position:
         yield from check_asked(log, of, joint)
 

@@ -15,8 +15,10 @@ from frictionzoo.data.signals import (
     find_outliers,
     find_quantum,
     find_velocity_lag,
+    find_wrap,
     repair_spikes,
 )
+from frictionzoo.data.units import could_be_degrees
 from frictionzoo.diagnostics.findings import Finding, Repair, of_joint
 from frictionzoo.diagnostics.lags import compare
 
@@ -110,13 +112,17 @@ def _find_noise(of: str, qpos: Signal) -> Finding | None:
 
 
 def _find_wrapping(of: str, qpos: Signal) -> Finding | None:
-    steps = np.diff(qpos)
-    turns = np.abs(np.abs(steps) - 2 * np.pi) < 0.1 * np.pi
-    if not turns.any() or np.median(np.abs(steps)) >= 0.1:
+    period = find_wrap(qpos)
+    if period is None:
         return None
-    text = f"qpos{of} jumps by a whole turn {turns.sum()} times, first at sample {int(np.argmax(turns)) + 1}, expected "
-    text += "a continuous angle; set data.clean.wrap=6.283185307179586"
-    return Finding("bad", "wrapping", text, repairs=(Repair("data.clean.wrap", math.tau),))
+    jumps = np.abs(np.diff(qpos)) > 0.5 * period
+    turn = "a whole turn" if period == math.tau else f"{period:.6g} rad"
+    unit = {360.0: "deg", 1.0: "rev"}.get(period, "")
+    unit = f"; if this is a whole turn, set data.units.qpos{'=' + unit if unit else ''} instead, and the period in rad"
+    text = f"qpos{of} jumps by {turn} {jumps.sum()} times, first at sample {int(np.argmax(jumps)) + 1}, expected a "
+    text += f"continuous angle; set data.clean.wrap={period:.16g}{'' if period == math.tau else unit}"
+    repairs = (Repair("data.clean.wrap", period),) if period == math.tau else ()
+    return Finding("bad", "wrapping", text, repairs=repairs)
 
 
 def _apart(qpos: Signal) -> float:
@@ -140,8 +146,14 @@ def _find_frozen(of: str, qpos: Signal) -> Iterator[Finding]:
             return
 
 
-def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[Finding]:
-    """Find an angle that seems to be in degrees, by its range, the encoder step and the limits of the file."""
+def check_turns(of: str, log: Log, joint: int, limits: np.ndarray) -> Iterator[Finding]:
+    """Find an angle that seems to be in degrees, by its range, the encoder step and the limits of the file.
+
+    A stated unit raises no doubt.
+    """
+    if "qpos" in log.units:
+        return
+    qpos = log.qpos[:, joint]
     span, low, high = float(np.ptp(qpos)), *limits
     degrees = np.radians(qpos)
     if span <= TURNS * math.tau and not high - low < span:
@@ -152,6 +164,8 @@ def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[Finding]:
     quantum = find_quantum(qpos)
     counts = quantum is not None and _is_step(quantum, 360.0) and not _is_step(quantum, math.tau)
     if span <= TURNS * math.tau and not (inside and counts):
+        return
+    if not (inside or counts or could_be_degrees(qpos, log.time)):
         return
     why = ["its encoder step divides 360"] if counts else []
     why += ["it is within the joint's limits only if in degrees"] if inside else []

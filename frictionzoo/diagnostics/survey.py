@@ -25,11 +25,13 @@ from frictionzoo.data.signals import (
     derive_velocity,
     find_quantum,
     find_velocity_lag,
+    find_wrap,
     repair_spikes,
+    unwrap,
 )
 from frictionzoo.diagnostics.survey_findings import list_findings
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 OUTLIER = 0.2  # largest plausible deviation of a supply voltage, as a share of its median
 SLOWEST = 0.05  # share of the top speed below which a sample counts as slow
 RESTING = 0.005  # share of the top speed below which a sample counts as standing still
@@ -121,8 +123,9 @@ def survey_recordings(
         "recordings": measured,
     }
     survey = to_json(survey)
+    stated = all("qpos" in recording.units for recording in recordings)
     keys = ("state", "title", "text", "option")
-    return survey | {"findings": [{key: getattr(one, key) for key in keys} for one in list_findings(survey)]}
+    return survey | {"findings": [{key: getattr(one, key) for key in keys} for one in list_findings(survey, stated)]}
 
 
 def measure(recording: Recording) -> Survey:
@@ -171,7 +174,8 @@ def _measure_joint(recording: Recording, position: Signal, measured: Signal | No
     finite = position[np.isfinite(position)]
     if len(finite) < 2:
         raise LogError(f"{recording.name}: qpos holds {len(finite)} finite samples; check data.columns.qpos")
-    smooth = repair_spikes(position)
+    wrap = find_wrap(position)
+    smooth = repair_spikes(unwrap(position, wrap))
     velocity = derive_velocity(recording.time, smooth)
     match = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
     lag, scale = match or (None, None)
@@ -179,6 +183,7 @@ def _measure_joint(recording: Recording, position: Signal, measured: Signal | No
     top = max(-low, high)
     return {
         "position": _range(finite),
+        "wrap": wrap,
         "position_quantum": find_quantum(position),
         "spikes": count_spikes(position),
         "velocity": (low, high),
@@ -221,7 +226,9 @@ def _range(values: Float[np.ndarray, "samples"]) -> tuple[float, float]:
 
 def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "samples"]:
     """Return the velocities of a joint in all recordings, estimated from the position [rad/s or m/s]."""
-    return np.concatenate([derive_velocity(r.time, repair_spikes(r.signals["qpos"][:, joint])) for r in recordings])
+    positions = [recording.signals["qpos"][:, joint] for recording in recordings]
+    smooth = [repair_spikes(unwrap(position, find_wrap(position))) for position in positions]
+    return np.concatenate([derive_velocity(r.time, each) for r, each in zip(recordings, smooth, strict=True)])
 
 
 def _pool_timing(measured: Sequence[Survey]) -> Survey:
@@ -237,7 +244,7 @@ def _pool_joint(recordings: Sequence[Recording], measured: Sequence[Survey], joi
     low, high = np.quantile(velocity, [TOP, 1 - TOP])
     top = max(-low, high)
     delay = estimate_delay(recordings, joint)
-    names = ("position_quantum", "velocity_quantum", "velocity_lag", "velocity_scale", "top_speed", "rest")
+    names = ("wrap", "position_quantum", "velocity_quantum", "velocity_lag", "velocity_scale", "top_speed", "rest")
     return {
         "position": _envelop(entry["position"] for entry in joints),
         "velocity": [low, high],

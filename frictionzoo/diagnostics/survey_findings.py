@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from frictionzoo.core.log import JITTER
+from frictionzoo.data.units import ONE_WAY, SLOW_JOINT, WHOLE_RANGE
 from frictionzoo.diagnostics.findings import Finding
 
 SAME = 1e-3  # relative difference of sample intervals above which recordings cannot be fitted together
@@ -16,6 +17,7 @@ RESTING = 0.5  # share of samples at rest above which it is reported
 ONE_SIDED = 0.05  # share of samples in one direction below which the motion counts as one-sided
 SATURATED = 0.05  # share of samples at an end of the command's range above which it is reported
 TURNS = 20.0  # range of positions above which they may be degrees [rad]
+DEGREES = "data.units.qpos=deg"
 SURE = 0.003  # lower quartile of a delay below which it is not distinguishable from 0 [s]
 
 FAULTS = {  # faults of clock and samples: singular, plural
@@ -27,15 +29,19 @@ FAULTS = {  # faults of clock and samples: singular, plural
 }
 
 
-def list_findings(survey: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield problems and passed checks of a survey without findings."""
+def list_findings(survey: Mapping[str, Any], stated: bool = False) -> Iterator[Finding]:
+    """Yield problems and passed checks of a survey without findings.
+
+    `stated` is whether the unit of the positions was stated, so that they raise no doubt about it.
+    """
     yield _check_origin(survey["data"])
     yield _check_clock(survey["timing"])
     yield _check_completeness(survey["timing"])
     for part, check in (("joints", _check_joint), ("commands", _check_command)):
         for entry in survey[part]:
             which = f", joint {entry['name']}" if len(survey[part]) > 1 else ""
-            yield from (replace(finding, title=f"{finding.title}{which}") for finding in check(entry, survey))
+            findings = [finding for finding in check(entry, survey) if not (stated and finding.option == DEGREES)]
+            yield from (replace(finding, title=f"{finding.title}{which}") for finding in findings)
     if survey["supply"] is not None:
         yield from _check_supply(survey["supply"], survey["data"]["recordings"])
     enabled = survey["enabled"]
@@ -48,6 +54,7 @@ def _check_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterato
     interval, units = survey["timing"]["interval"]["median"], survey["units"]
     yield _check_spikes(joint, survey["data"]["recordings"])
     yield _check_resolution(joint, interval, units["position"])
+    yield from _check_wrap(joint)
     yield from _check_units(joint)
     yield _check_lag(joint, interval)
     yield _check_delay(joint["delay"])
@@ -108,11 +115,21 @@ def _check_resolution(joint: Mapping[str, Any], interval: float, unit: str) -> F
     return Finding("note" if speed > 0.01 * top else "good", "Resolution", text)
 
 
+def _check_wrap(joint: Mapping[str, Any]) -> Iterator[Finding]:
+    wrap = joint["wrap"]
+    if wrap is not None:
+        text = f"The position jumps by {wrap['median']:.6g} and moves on: it wraps."
+        if wrap["median"] != math.tau:
+            text += " If this is a whole turn, data.units.qpos must make it 6.28319."
+        yield Finding("caution", "Wrap", text, "data.clean.wrap=auto")
+
+
 def _check_units(joint: Mapping[str, Any]) -> Iterator[Finding]:
     span, scale = joint["position"][1] - joint["position"][0], joint["velocity_scale"]
-    if span > TURNS:
+    turns_on = min(joint["forward"], joint["backward"]) < ONE_WAY or span > WHOLE_RANGE
+    if span > TURNS and not turns_on and max(map(abs, joint["velocity"])) > SLOW_JOINT:
         text = f"Positions span {span:.4g}. In radians, these are {span / math.tau:.3g} turns; they look like degrees."
-        yield Finding("caution", "Units", text, "data.units.qpos=deg")
+        yield Finding("caution", "Units", text, DEGREES)
     if scale is not None and abs(scale["median"] - 1) > UNITS:
         text = f"The measured velocity is {scale['median']:.4g} times the position's derivative: their units differ"
         yield Finding("bad", "Units", f"{text} (57.3: deg/s; 9.55: rpm).", "data.units.qvel=...")
