@@ -27,7 +27,7 @@ from filelock import FileLock
 from helpers.benchmarks import QUICKEST
 from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
 from helpers.tutorials import write_robots
-from helpers.write_logs import WRITERS, write_degrees, write_log
+from helpers.write_logs import WRITERS, write_degrees, write_log, write_ticks
 from omegaconf import OmegaConf
 
 from frictionzoo.cli.commands import COMMANDS
@@ -317,6 +317,7 @@ def desk(shared_folder: Path, recording: Path) -> Path:
             for name in WRITERS:
                 write_log(folder, name, columns)
             write_degrees(folder / "degrees.csv", columns)
+            write_ticks(folder / "ticks.csv", columns)
             (folder / "stand.xml").write_text(STAND)
             write_robots(folder)
     return folder

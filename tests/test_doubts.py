@@ -21,6 +21,7 @@ from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.diagnostics.following import Followed, check_following
 from frictionzoo.diagnostics.lags import compare
 from frictionzoo.diagnostics.recordings import check_up, find_all
+from frictionzoo.diagnostics.torque import check_recorded
 from frictionzoo.identification.solve import list_moving
 from frictionzoo.result.types import ParameterRecord, Result, Value
 from frictionzoo.result.verdict import doubt_errors, doubt_reference, explain_failure
@@ -140,7 +141,7 @@ def test_what_is_certain_is_refused_with_what_mends_it(
         (lambda log: {"qvel": put(log.qvel, 1e6)}, "qvel has outliers (1), such as 1e+06"),
         (lambda log: {"ctrl": put(log.ctrl, 40)}, "set data.clean.spikes=repair"),
         (
-            lambda log: {name: 57.3 * getattr(log, name) for name in ("qpos", "qvel", "ctrl")},
+            lambda log: {"units": {}} | {name: 57.3 * getattr(log, name) for name in ("qpos", "qvel", "ctrl")},
             "it looks like degrees; set data.units.qpos=deg",
         ),
         (lambda log: {"qpos": late(log.qpos, 400), "qvel": late(log.qvel, 400)}, "identify bench.params.delay"),
@@ -154,6 +155,20 @@ def test_what_is_likely_is_told_with_what_mends_it(
 ) -> None:
     log, bench = recorded
     assert text in doubts(replace(log, **spoil(log)), bench)
+
+
+@pytest.mark.parametrize(("unit", "size"), [("rev", 1 / (2 * np.pi)), ("deg", 180 / np.pi), (None, 1.0)])
+def test_a_recorded_torque_shows_the_unit_of_the_position(
+    recorded: tuple[Log, Bench], unit: str | None, size: float
+) -> None:
+    log, bench = recorded
+    model, qacc = bench.compile(constraint=False), np.gradient(log.qvel, log.timestep, axis=0)
+    torque = inverse_torque(model, log.qpos, log.qvel, qacc) + 0.02 * qacc + 0.1 * np.sign(log.qvel)
+    scaled = replace(log, qpos=size * log.qpos, qvel=size * log.qvel, extras={**log.extras, "torque": torque})
+    found = list(check_recorded(bench.accept(scaled), bench, model))
+    assert [(row.state, f"data.units.qpos={unit}" in row.text) for row in found] == [("bad", True)] * bool(unit)
+    (other,) = check_recorded(bench.accept(replace(log, extras={"torque": 1e3 * torque})), bench, model)
+    assert other.state == "caution" and "data.units.torque" in other.text
 
 
 def test_what_is_certain_is_a_warning_if_the_user_says_so(recorded: tuple[Log, Bench]) -> None:

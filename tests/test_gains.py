@@ -88,6 +88,13 @@ def test_recordings_that_do_not_tell_gains_are_refused(what: str, seed: int) -> 
     assert "\n" not in str(refused.value)
 
 
+def test_a_gain_that_is_identified_needs_no_value(recording: Path, compose: Callable[..., Any]) -> None:
+    options = ["bench.actuator.params.kp.identify=true", "bench.actuator.params.kd.init=0.1"]
+    config = compose("data=files", f"data.train=[{recording}]", *options)
+    read = Given.read(OmegaConf.to_container(config, resolve=True))
+    assert read.settings["bench"]["actuator"]["params"]["kp"]["init"] == 1.0
+
+
 def test_gains_that_vary_name_the_law_that_takes_them(recording: Path, compose: Callable[..., Any]) -> None:
     ctrl, qpos, qvel = move(1, 0)
     with pytest.raises(ConfigError, match="RecordedPD") as refused:

@@ -1,6 +1,7 @@
 """Missing controller gains, from recorded gain columns or by regression of the recorded torque."""
 
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -50,6 +51,7 @@ def find_gains(section: Mapping[str, Any], dataset: Dataset, missing: MissingVal
     if len(gains) < len(wanted):
         regressed, reason = _regress(dataset.train)
         gains = regressed | gains
+    gains = _start_identified(section, [name for name in wanted if name not in gains]) | gains
     if unresolved := [name for name in wanted if name not in gains]:
         options = " ".join(f"bench.{_OPTION.format(name)}={GAINS[name]}" for name in unresolved)
         columns = " and ".join(f"data.columns.{name}" for name in unresolved)
@@ -59,6 +61,18 @@ def find_gains(section: Mapping[str, Any], dataset: Dataset, missing: MissingVal
             "from which they are computed"
         )
     return {name: gains[name] if len(gains[name]) > 1 else gains[name][0] for name in wanted}
+
+
+def _start_identified(section: Mapping[str, Any], names: Sequence[str]) -> dict[str, list[float]]:
+    """Return the geometric mean of the bounds for gains that are identified, and need only a start."""
+    gains: dict[str, list[float]] = {}
+    for name in names:
+        param = section["actuator"]["params"][name]
+        low, high = param.get("low"), param.get("high")
+        if param.get("identify") is True and isinstance(low, int | float) and isinstance(high, int | float) and low > 0:
+            gains[name] = [float(f"{math.sqrt(low * high):.4g}")]
+            _tell(name, gains[name], "the middle of its bounds, where its identification starts")
+    return gains
 
 
 def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[float]]:

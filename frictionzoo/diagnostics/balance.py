@@ -90,18 +90,19 @@ def commanded_torque(
     return actuator_torque(bench, log, values, qvel)
 
 
-def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> BalanceRows | None:
+def balance(
+    log: Log, bench: Bench, model: mujoco.MjModel, measured: Float[np.ndarray, "time nv"] | None = None
+) -> BalanceRows | None:
     """Return an accepted log's torque balance; None if it is too short to filter or a value is not finite.
 
-    `model` is the bench compiled without a friction constraint; the log's load is put into it.
+    `model` is the bench compiled without a friction constraint; the log's load is put into it. `measured` is a torque
+    [N m or N] in place of the actuator's; None: the actuator's.
     """
     log = log.between(0, LONGEST, "start") if log.samples > LONGEST else log
+    torque = commanded_torque(log, bench) if measured is None else measured[: log.samples]
     cutoff = min(BANDWIDTH, 0.1 / log.timestep)
     try:
-        qpos, torque = (
-            smooth(values, log.timestep, cutoff, ORDER, log.name, "")
-            for values in (log.qpos, commanded_torque(log, bench))
-        )
+        qpos, torque = (smooth(values, log.timestep, cutoff, ORDER, log.name, "") for values in (log.qpos, torque))
     except (LogError, ConfigError):
         return None
     qvel = np.gradient(qpos, log.timestep, axis=0)

@@ -21,7 +21,7 @@ from frictionzoo.diagnostics.following import Followed, check_asked, check_drift
 from frictionzoo.diagnostics.lags import compare
 from frictionzoo.diagnostics.readings import check_readings
 from frictionzoo.diagnostics.samples import SHORT, check_clock, check_signals, check_turns
-from frictionzoo.diagnostics.torque import KNOWN, agrees, check_torque
+from frictionzoo.diagnostics.torque import KNOWN, agrees, check_recorded, check_torque
 
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
 BRIEF = 2.5  # s; shorter recordings have too little motion to compare commands and torque
@@ -98,6 +98,9 @@ def _check_forces(
     log: Log, bench: Bench, model: mujoco.MjModel, closely: bool, works: np.ndarray, named: set[str]
 ) -> Iterator[Finding]:
     """Check torque and work of joints without findings so far; work counts if torque gives no verdict."""
+    recorded = list(check_recorded(log, bench, model)) if closely else []
+    yield from recorded
+    named = named | {entry.joint for entry in recorded}
     balanced = balance(log, bench, model) if closely else None
     explained = [explain(balanced, joint) if balanced else None for joint in range(bench.nv)]
     torque = check_torque(log, bench, balanced, explained, takes_position(bench)) if balanced else ()

@@ -1,13 +1,15 @@
 """Diagnostics of a recording and its bench by the torque balance of actuators and links."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
-from frictionzoo.diagnostics.balance import BalanceRows, TorqueRegression, delayed
+from frictionzoo.diagnostics.balance import BalanceRows, TorqueRegression, balance, delayed, explain
 from frictionzoo.diagnostics.findings import Finding, Repair, of_joint, say_sign, turn
 from frictionzoo.diagnostics.lags import WINDOWS, find_drift, find_shift, pick_lag
 
@@ -19,6 +21,9 @@ SLOWEST = {"hinge": 0.1, "slide": 0.01}  # rad/s^2 or m/s^2, smallest plausible 
 PLAIN = 0.5  # largest unexplained variance share of a torque whose inertia is judged
 MUCH_BETTER = 0.5  # factor on the misfit at usual lags that another lag has to reach
 EARLY, LATE = 0.01, 0.1  # s, usual range of a command's lead and delay
+SUITS = 0.3  # largest deviation from 1 of the ratio of recorded to needed torque, in the right unit
+ANGLES = {"rev": math.tau, "deg": math.pi / 180}
+"""Units of angles that are tried in place of radians, in rad."""
 OFFSETS = ("force_offset", "torque_offset")  # parameters of actuator laws that do not scale the command
 LEFT = 0.3  # largest unexplained variance share at which time shifts are judged
 
@@ -42,6 +47,41 @@ def check_torque(
         if regression is not None and not shifts:
             for fault in _check_joint(bench, joint, regression, to_position):
                 yield replace(fault, log=log.name, joint=bench.joints[joint])
+
+
+def check_recorded(log: Log, bench: Bench, model: mujoco.MjModel) -> Iterator[Finding]:
+    """Find positions in another unit by the recorded torque, which must carry the links' weight and inertia."""
+    torque = log.extras.get("torque")
+    if torque is None or torque.shape != log.qpos.shape or bench.joint_type != "hinge":
+        return
+    in_radians = _explain_recorded(log, bench, model, torque, 1.0)
+    doubtful = {joint: one for joint, one in enumerate(in_radians) if one is not None and not agrees(one)}
+    others = {unit: _explain_recorded(log, bench, model, torque, factor) for unit, factor in ANGLES.items() if doubtful}
+    for joint, one in doubtful.items():
+        suits = [unit for unit, found in others.items() if _suits(found[joint])]
+        if suits or one.error < KNOWN * abs(one.share):
+            text = (
+                f"the recorded torque{of_joint(bench.joints, joint)} is {one.share:.3g} times the torque that gravity "
+            )
+            text += "and inertia need for the motion, expected about 1: their units disagree; set "
+            text += f"data.units.qpos={suits[0]} (also for qvel and a desired position)" if suits else "data.units.qpos"
+            text += ", or data.units.torque and data.sign.torque, or check the links' masses"
+            yield Finding(
+                "bad" if suits else "caution", "recorded torque", text, log=log.name, joint=bench.joints[joint]
+            )
+
+
+def _suits(one: TorqueRegression | None) -> bool:
+    """Return whether a torque is, but for friction, the one that the links need."""
+    return one is not None and agrees(one) and abs(one.share - 1) < SUITS and one.left < PLAIN and one.links > KNOWN
+
+
+def _explain_recorded(
+    log: Log, bench: Bench, model: mujoco.MjModel, torque: np.ndarray, factor: float
+) -> list[TorqueRegression | None]:
+    """Return each joint's regression of the recorded torque, with positions and velocities times a factor."""
+    found = balance(replace(log, qpos=factor * log.qpos, qvel=factor * log.qvel), bench, model, torque)
+    return [None if found is None else explain(found, joint) for joint in range(bench.nv)]
 
 
 def _check_joint(bench: Bench, joint: int, one: TorqueRegression, to_position: bool) -> Iterator[Finding]:

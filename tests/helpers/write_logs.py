@@ -183,6 +183,16 @@ def write_degrees(path: Path, columns: Columns) -> Path:
     return write_csv(path, {h: f * v for (h, f), v in zip(scales.items(), columns.values(), strict=True)})
 
 
+def write_ticks(path: Path, columns: Columns) -> Path:
+    """The recording as a CSV file of a servo's raw registers, with sign bits."""
+    step = 2 * np.pi / 4096
+    headers = ("timestamp", "present_position", "present_speed", "goal_position")
+    time, *angles = (columns[name] for name in ("time", "qpos", "qvel", "ctrl"))
+    ticks = [np.round(angle / step) + zero for angle, zero in zip(angles, (2048, 0, 2048), strict=True)]
+    coded = [time, *(np.where(values < 0, 2**15 - values, values) for values in ticks)]
+    return write_csv(path, dict(zip(headers, coded, strict=True)))
+
+
 def write_zip(path: Path, columns: Columns) -> Path:
     """An archive of one CSV file."""
     with zipfile.ZipFile(path, "w") as archive:
