@@ -58,11 +58,10 @@ def check_recorded(log: Log, bench: Bench, model: mujoco.MjModel) -> Iterator[Fi
     doubtful = {joint: one for joint, one in enumerate(in_radians) if one is not None and not agrees(one)}
     others = {unit: _explain_recorded(log, bench, model, torque, factor) for unit, factor in ANGLES.items() if doubtful}
     for joint, one in doubtful.items():
+        of = of_joint(bench.joints, joint)
         suits = [unit for unit, found in others.items() if _suits(found[joint])]
         if suits or one.error < KNOWN * abs(one.share):
-            text = (
-                f"the recorded torque{of_joint(bench.joints, joint)} is {one.share:.3g} times the torque that gravity "
-            )
+            text = f"the recorded torque{of} is {one.share:.3g} times the torque that gravity "
             text += "and inertia need for the motion, expected about 1: their units disagree; set "
             text += f"data.units.qpos={suits[0]} (also for qvel and a desired position)" if suits else "data.units.qpos"
             text += ", or data.units.torque and data.sign.torque, or check the links' masses"
