@@ -128,7 +128,6 @@ def test_a_job_needs_one_of_each_group(argument: str, names: str) -> None:
     [
         ("data={train: [garbage], format: csv}", ("garbage: byte", "not UTF-8", "CSV file")),
         ("data={train: [a.csv], test: [a.csv]}", ("in data.train and in data.test",)),
-        ("evaluation.horizons=[9.0]", ("expected at least 9001 for a rollout of 9 s", "evaluation.horizons")),
         ("evaluation.window=0.0", ("evaluation.window=0", "more than 0 s")),
         ("device=gpu", ("device=gpu", "auto, cpu or cuda")),
         pytest.param("device=cuda", ("device=cuda: JAX finds none, expected a GPU",), marks=NO_GPU),

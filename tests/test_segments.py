@@ -7,7 +7,7 @@ import pytest
 
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Log
-from frictionzoo.core.segments import cut_rollouts, cut_segments, split_by_time
+from frictionzoo.core.segments import cut_rollouts, cut_segments, longest_window, split_by_time
 
 
 def make_log(
@@ -117,7 +117,20 @@ def test_more_random_rollouts_than_places_gives_every_place():
     rollouts = cut_rollouts([make_log(15)], 0.1, 100, "random", 0)
     assert sorted(rollouts.qpos[:, 0, 0]) == [0, 1, 2, 3, 4]
     with pytest.raises(LogError, match=r"^b\.csv: 50 samples, expected at least 101 .*evaluation\.horizons"):
-        cut_rollouts([make_log(300), make_log(50, "b.csv")], 1.0, 10, "random", 0)
+        cut_rollouts([make_log(50, "b.csv")], 1.0, 10, "random", 0)
+
+
+@pytest.mark.parametrize("placement", ["random", "consecutive"])
+def test_a_log_shorter_than_the_rollouts_gives_none(placement: str) -> None:
+    rollouts = cut_rollouts([make_log(50), make_log(300, "b.csv"), make_log(101, "c.csv")], 1.0, 10, placement, 0)
+    assert rollouts.recording is not None and {*rollouts.recording} <= {1, 2} and 1 in rollouts.recording
+
+
+@pytest.mark.parametrize(
+    ("samples", "longest"), [([500], 499), ([500, 400], 399), ([1000, 30], 999), ([100] * 9 + [20], 99), ([7, 7, 7], 6)]
+)
+def test_the_longest_window_leaves_out_only_a_few_samples(samples: list[int], longest: int) -> None:
+    assert longest_window([make_log(count, f"{number}.csv") for number, count in enumerate(samples)]) == longest
 
 
 @pytest.mark.parametrize(

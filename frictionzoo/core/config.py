@@ -38,7 +38,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     **{f"loss.{part}": (0.1,) for part in ("position", "velocity", "robust_scale", "encoder_step")},
     **dict.fromkeys(("loss.refine", "loss.by_joint", "bench.second_order"), (True,)),
     **dict.fromkeys(("evaluation.torque.bandwidth", "bench.timestep"), (0.1, None)),
-    **{f"data.clean.{part}": (0.1, None) for part in ("wrap", "step", "command_lag")},
+    **{f"data.clean.{part}": (0.1, None) for part in ("wrap", "step", "command_lag", "cutoff")},
     **dict.fromkeys(("data.train", "data.test"), ("", [""])),
     **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},
     "resume": ("", True, None),
@@ -55,6 +55,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.units.*": ("", 0.1, None),
     "data.sign.*": (1, [1]),
     "data.split.test": ([], "", 0.0),
+    "data.split.gap": (1.0, None),
     "data.clean.velocity_lag": (0.1, "", None),
 }
 _OWN_CACHE = "user"  # the user's cache folder of the operating system

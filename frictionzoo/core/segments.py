@@ -15,6 +15,7 @@ from frictionzoo.core.state import Signals
 _log = logging.getLogger(__name__)
 
 SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs used together
+_MOST = 0.9  # share of all samples that is in logs long enough for a window
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def cut_rollouts(
     """Cut windows for an evaluation from logs with equal columns and timestep.
 
     Args:
-        logs: Recordings.
+        logs: Recordings; those shorter than the horizon give no rollout.
         horizon_s: Length of a rollout [s].
         count: Largest number of rollouts; None takes all, with `consecutive` only.
         placement: `random`: distinct starts drawn from `seed`, which may overlap; `consecutive`: a restart every
@@ -143,26 +144,33 @@ def cut_rollouts(
         options: Names of the options for `horizon_s` and `count`, for messages.
 
     Raises:
-        LogError: The logs do not match, or one is shorter than the horizon.
+        LogError: The logs do not match, or all are shorter than the horizon.
         ConfigError: An option is impossible.
     """
     timestep = _refuse_mixture(logs)
     length = round(horizon_s / timestep)
     if length < 1:
         raise ConfigError(f"{options[0]}: {horizon_s:g} s, expected at least one step of {timestep:g} s")
-    for log in logs:
-        if log.samples < length + 1:
-            raise LogError(
-                f"{log.name}: {log.samples} samples, expected at least {length + 1} for a rollout of {horizon_s:g} s; "
-                f"use a longer log or a smaller {options[0]}"
-            )
+    longest = max(logs, key=lambda log: log.samples)
+    if longest.samples < length + 1:
+        raise LogError(
+            f"{longest.name}: {longest.samples} samples, expected at least {length + 1} for a rollout of "
+            f"{horizon_s:g} s; use a longer log or a smaller {options[0]}"
+        )
     if placement == "consecutive":
         places = _spread(_places([_consecutive(log, length) for log in logs]), count, options[1])
     elif placement == "random":
-        places = _draw(_places([np.arange(log.samples - length) for log in logs]), count, seed, options[1])
+        places = _draw(_places([np.arange(max(log.samples - length, 0)) for log in logs]), count, seed, options[1])
     else:
         raise ConfigError(f"evaluation.placement={placement}: unknown; {closest(placement, ('random', 'consecutive'))}")
     return _windows(logs, places, length, history)
+
+
+def longest_window(logs: Sequence[Log]) -> int:
+    """Return the longest window, in sample intervals, that fits into logs with 90 % of all samples."""
+    samples = np.sort([log.samples for log in logs])[::-1]
+    covered = np.cumsum(samples)
+    return int(samples[np.argmax(covered >= _MOST * covered[-1])]) - 1
 
 
 def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:

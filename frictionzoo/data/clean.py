@@ -42,6 +42,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 }
 RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # resampling of these signals
 EXTRAS = tuple(signal for signal in SIGNALS if signal not in ("time", "qpos", "qvel", "ctrl"))
+CUTOFF, HIGHEST = 20.0, 0.4  # default cut-off [Hz] of the velocity estimate, and its largest share of the sample rate
 MOST_FINER = 1000.0  # largest upsampling factor; more would only add samples
 FEWEST = 50  # fewest intervals that show whether times are rounded
 SEVERAL = 5  # fewest occurrences of each rounded interval; a gap may occur once
@@ -73,7 +74,7 @@ class Cleaning(Described):
         velocity: `measured`; `estimated` from the position without phase lag; or `auto`: measured and compared with the
             position, but estimated for joints whose velocity is missing, constant, without motion, or so late or noisy
             that the estimate is more accurate.
-        cutoff: Cut-off frequency of the velocity estimate [Hz].
+        cutoff: Cut-off frequency of the velocity estimate [Hz]; None for 20 Hz, but at most 0.4 of the sample rate.
         order: Order of its filter, which runs forwards and backwards.
         velocity_lag: Lag of the measured velocity behind the position, to be removed [s]; `auto` measures it; None
             removes nothing.
@@ -91,7 +92,7 @@ class Cleaning(Described):
     wrap: float | str | None = None
     spikes: str = "keep"
     velocity: str = "auto"
-    cutoff: float = 20.0
+    cutoff: float | None = None
     order: int = 2
     velocity_lag: float | str | None = None
     command_lag: float | None = None
@@ -102,7 +103,7 @@ class Cleaning(Described):
             if getattr(self, option) not in choices:
                 value = getattr(self, option)
                 raise ConfigError(f"data.clean.{option}={value}: unknown; {closest(str(value), choices)}")
-        check_filter("data.clean", self.cutoff, self.order)
+        check_filter("data.clean", CUTOFF if self.cutoff is None else self.cutoff, self.order)
         for option, is_valid, expected in (
             ("step", self.step is None or self.step > 0, "a positive time in s, or null"),
             ("gap", self.gap >= 1.5, "at least 1.5 median intervals"),
@@ -375,7 +376,8 @@ def _choose_velocity(piece: Recording, cleaning: Cleaning) -> Recording:
             f"{piece.name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated"
         )
     timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
-    cutoff, order, qpos = cleaning.cutoff, cleaning.order, piece.signals["qpos"]
+    cutoff = min(CUTOFF, HIGHEST / timestep) if cleaning.cutoff is None else cleaning.cutoff
+    order, qpos = cleaning.order, piece.signals["qpos"]
 
     def estimate() -> np.ndarray:
         return _each(estimate_velocity, qpos, timestep, cutoff, order, piece.name, "data.clean.cutoff")

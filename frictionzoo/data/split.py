@@ -1,5 +1,6 @@
 """Division of recordings into training and test data: by time, by file or by a field."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -14,6 +15,9 @@ from frictionzoo.core.segments import split_by_time
 from frictionzoo.data.recording import Recording
 from frictionzoo.data.select import is_among, refuse_absent
 
+_GAP, _GAP_SHARE = 1.0, 0.1  # default gap [s], and its largest share of a log
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class Split:
@@ -25,7 +29,7 @@ class Split:
         test: By file, names or patterns of the test recordings, or their share, evenly spread; by a field, its test
             values; by time, empty.
         test_share: By time, test share of each log's samples.
-        gap: By time, length of the unused block between the parts [s].
+        gap: By time, length of the unused block between the parts [s]; None for 1 s, but at most a tenth of each log.
 
     Raises:
         ConfigError: `test` does not fit `by`.
@@ -34,7 +38,7 @@ class Split:
     by: str = "time"
     test: Sequence[Any] | float = ()
     test_share: float | int = 0.2
-    gap: float | int = 1.0
+    gap: float | int | None = None
 
     def __post_init__(self) -> None:
         if self.by == "time" and self._tested:
@@ -51,14 +55,14 @@ class Split:
     def divide(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> tuple[list[Log], list[Log]]:
         """Divide the logs of each recording into training and test logs.
 
+        By time, a log too short for two parts is a training log, unless all are.
+
         Raises:
-            LogError: No recording matches `test`, or all do.
+            LogError: No recording matches `test`, or all do; by time, all logs are too short.
             ConfigError: An option is impossible.
         """
         if self.by == "time":
-            share, gap = float(self.test_share), float(self.gap)
-            parts = [split_by_time(log, share, gap) for cleaned in logs for log in cleaned]
-            return [first for first, _ in parts], [last for _, last in parts]
+            return self._divide_by_time([log for cleaned in logs for log in cleaned])
         is_test = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
         if is_test.all():
             problem = f"data.split.by={self.by} test={self.test}: all {len(is_test)} recordings test"
@@ -66,6 +70,24 @@ class Split:
         train, test = [], []
         for chosen, cleaned in zip(is_test, logs, strict=True):
             (test if chosen else train).extend(cleaned)
+        return train, test
+
+    def _divide_by_time(self, logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
+        train, test, errors = [], [], []
+        for log in logs:
+            gap = min(_GAP, _GAP_SHARE * log.samples * log.timestep) if self.gap is None else float(self.gap)
+            try:
+                first, last = split_by_time(log, float(self.test_share), gap)
+            except LogError as error:
+                train.append(log)
+                errors.append(error)
+            else:
+                train.append(first)
+                test.append(last)
+        if errors and not test:
+            raise errors[0]
+        for error in errors:
+            _log.warning("%s; all of it trains", error)
         return train, test
 
     def _choose_by_field(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:

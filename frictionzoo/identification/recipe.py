@@ -33,6 +33,7 @@ from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import OPTIONAL, Choice, widen_bounds
+from frictionzoo.identification.lengths import fit_lengths
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.identification.stages import Stages
 from frictionzoo.identification.trials import put
@@ -122,6 +123,7 @@ class Parts:
         model.bind(bench.joints)
         dataset = pair_all(dataset, bench.joints, bench.passive)
         bench, settings = _divide_interval(bench, settings, dataset.train[0].timestep)
+        settings, shortened = fit_lengths(settings, dataset, bench.joint_type)
         for columns in describe_columns(dataset.logs, bench.joints) if bench.nv > 1 else ():
             others = len(columns["logs"]) - 1
             names = columns["logs"][0] + (f" and {others} more" if others else "")
@@ -130,7 +132,7 @@ class Parts:
         train, test = (tuple(map(observing.accept, logs)) for logs in (dataset.train, dataset.test))
         doubts = check_up(Dataset(dataset.name, train, test), observing, settings["checkup"])
         settings, bench, widened = widen_bounds(settings, bench, train, model)
-        parts = cls(settings, bench, dataset, model, fit, doubts, widened)
+        parts = cls(settings, bench, dataset, model, fit, doubts, (*shortened, *widened))
         if settings["recipe"] == AUTO:
             with computing("float64", settings["device"], settings["compilation_cache"]):
                 parts = parts._choose() if folder is None else parts._choose_once(folder / SETTLED)

@@ -17,7 +17,7 @@ from frictionzoo.core.described import remake
 from frictionzoo.core.errors import BenchError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
-from frictionzoo.core.segments import Segments
+from frictionzoo.core.segments import Segments, longest_window
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
@@ -167,10 +167,9 @@ class Trials:
         return count, f"{100 * share:.0f} % of all segments, evenly spread: steps of {1e3 * step:.3g} ms are costly"
 
     def _samples_in(self, seconds: float) -> int:
-        """Return a segment length in sample intervals, at most `seconds`, that fits each recording and leaves many."""
-        shortest_log = min(log.samples for log in self._train) - 1
+        """Return a segment length in sample intervals, at most `seconds`, that fits the recordings and leaves many."""
         longest = self._samples // self._bench.nv // _MANY
-        return min(max(FEWEST, min(round(seconds / self._interval), longest)), shortest_log)
+        return min(max(FEWEST, min(round(seconds / self._interval), longest)), longest_window(self._train))
 
     def _velocity_beside_rounding(self) -> float:
         """Return the weight of velocities when only position errors beyond half an encoder step count."""
@@ -186,7 +185,7 @@ class Trials:
             pilot = self._pilot(**given)
             is_fitted, block = hold_back(pilot.segments, self._train)
             result = pilot.fit(self._found, self._out, kept=is_fitted)
-            horizon = min(self._horizon, min(log.samples for log in block) - 1)
+            horizon = min(self._horizon, longest_window(block))
             self._validated[key] = float(np.abs(pilot.errors(result, block, horizon * self._interval)).mean())
         return self._validated[key]
 
