@@ -187,7 +187,7 @@ def test_the_order_of_columns_does_not_matter(tmp_path):
     np.testing.assert_array_equal(recording.signals["qvel"][:, 0], columns["qvel"])
 
 
-@pytest.mark.parametrize("name", sorted(set(NAMES) - {"lerobot", "mcap", "ros2bag"}))
+@pytest.mark.parametrize("name", sorted(set(NAMES) - {"lerobot", "mcap", "ros1bag", "ros2bag"}))
 def test_gaps_and_time_that_starts_again_are_left_to_cleaning(tmp_path, name):
     columns = signals()
     columns["qpos"][10:20] = np.nan

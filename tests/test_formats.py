@@ -18,7 +18,6 @@ import pytest
 import scipy.io
 from conftest import DATA, needs_data
 from helpers.write_logs import (
-    COMMAND,
     EPOCH,
     OPTIONS,
     STORE,
@@ -26,7 +25,6 @@ from helpers.write_logs import (
     command,
     joint_state,
     signals,
-    write_bag,
     write_bam,
     write_csv,
     write_log,
@@ -280,15 +278,6 @@ def test_scalars_whole_numbers_and_trajectories_are_commands(tmp_path):
     assert columns["/plan/positions[knee]"].tolist() == [0.5, 0.75]
     assert (columns["/plan/time"] - EPOCH).tolist() == [5, 10**9 + 5]
     assert columns["/torque/data"].tolist() == [2.5] and columns["/count/data"].tolist() == [2**53 + 1]
-
-
-def test_a_message_type_of_no_ros_package_is_named(tmp_path):
-    folder = write_bag(tmp_path / "bag", signals(5), StoragePlugin.MCAP)
-    for path in (folder / "bag.mcap", folder / "metadata.yaml"):
-        path.write_bytes(path.read_bytes().replace(COMMAND.encode(), b"my_msgs/msg/Float64MultiArray0"))
-    (table,) = read_tables(str(folder), "auto")
-    with pytest.raises(LogError, match=r"/command is of type my_msgs/msg/Float64MultiArray0"):
-        to_recording(table, OPTIONS["mcap"] | {"ctrl": "/command"}, {}, simulated=False)
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite"])

@@ -59,8 +59,8 @@ def _choose(
     complete = [
         headers for headers in found.values() if sorted(names[header].joint for header in headers) in (numbers, driven)
     ]
-    if len(complete) == 1:
-        return complete[0]
+    if len(complete) == 1 or (best in complete and any(table.signals.get(header) for header in best)):
+        return best if best in complete else complete[0]
     all_headers = sorted((header for headers in found.values() for header in headers), key=list(table.columns).index)
     pair_signal(table.name, signal, all_headers, joints, passive)
     return all_headers
@@ -76,7 +76,9 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
             stem, words = joints[header][0], list_words(split(joints[header][0]))
         else:  # joints differ in the text in brackets, or in a number
             stem, words = re.sub(r"\[[^]]*\]|\d+", "#", header), list_words(split(header))
-        if header not in table.times.values() and (role := find_signal(words)):
+        specified = table.signals.get(header)
+        role = find_signal(words) if specified is None else (specified, 0)
+        if header not in table.times.values() and role and role[0]:
             signal, rank = role
             families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
     families = {signal: _prefer_named(found, names) for signal, found in families.items()}

@@ -16,6 +16,7 @@ from frictionzoo.data.columns import list_names, to_recording
 from frictionzoo.data.formats import find_files, format_names, read_tables
 from frictionzoo.data.logs import InMemory, Logs
 from frictionzoo.data.pairing import arrange, arrange_recording, has_names, reorder
+from frictionzoo.data.presets import name_motors
 from frictionzoo.data.propose import Proposal, propose
 from frictionzoo.data.recording import SIGNALS, TURNED, Recording, Table
 from frictionzoo.data.registers import SERIES, UNDETECTED, Registers, decode_table, read_registers
@@ -155,6 +156,7 @@ class Files(Source):
     def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
         """Convert tables to recordings; infer missing options once for all tables with the same headers."""
         inferred: dict[frozenset[str], _Inferred] = {}
+        tables = [self._name_motors(table) for table in tables]
         for table in tables:
             headers = frozenset(table.columns)
             if headers not in inferred:
@@ -176,6 +178,14 @@ class Files(Source):
             table = decode_table(table, signals, registers)
             stated = dict.fromkeys(("qpos", "qvel"), "ticks") | stated
         return replace(to_recording(table, columns, units, self.simulated, self.columns), units=stated)
+
+    def _name_motors(self, table: Table) -> Table:
+        if any(header in table.columns for headers in self.columns.values() for header in headers):
+            return table  # a user names the numbers
+        table, sentence = name_motors(table, self.joints)
+        if sentence:
+            _log.info("%s: %s", table.name, sentence)
+        return table
 
     def _turn(self, recording: Recording, signal: str) -> np.ndarray:
         """Return a signal times its sign, or times one sign a column."""

@@ -36,6 +36,8 @@ class Table:
         refused: Error messages for unusable columns, by header.
         times: Header of the time column, by the header of a column with separate times.
         units: Units that the format specifies, by header.
+        signals: Signals that the format specifies, by header; empty: none; `effort`: a torque, commanded or measured.
+        motors: Makers' packages of messages with numbers of motors, by header, see `frictionzoo.data.presets`.
     """
 
     name: str
@@ -45,6 +47,8 @@ class Table:
     refused: Mapping[str, str] = field(default_factory=dict)
     times: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    signals: Mapping[str, str] = field(default_factory=dict)
+    motors: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

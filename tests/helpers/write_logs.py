@@ -1,6 +1,7 @@
 """One recording in every format that is read, for the tests of them."""
 
 import csv
+import dataclasses
 import json
 import struct
 import zipfile
@@ -13,12 +14,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import scipy.io
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 Columns = Mapping[str, np.ndarray]
 EPOCH = 1_700_000_000 * 10**9  # ns, in November 2023
 STORE = get_typestore(Stores.LATEST)
+STORE_1 = get_typestore(Stores.ROS1_NOETIC)
 JOINT_STATE, COMMAND = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 
 
@@ -65,7 +69,11 @@ def write_bam(path: Path, columns: Columns) -> Path:
 
 
 def write_messages(
-    folder: Path, messages: Iterable[tuple[str, Any, int]], plugin: StoragePlugin, compress: bool = False
+    folder: Path,
+    messages: Iterable[tuple[str, Any, int]],
+    plugin: StoragePlugin,
+    compress: bool = False,
+    store: Typestore = STORE,
 ) -> Path:
     """A rosbag2 folder of (topic, message, time of reception [ns])."""
     bag = Writer(folder, version=9, storage_plugin=plugin)
@@ -76,18 +84,51 @@ def write_messages(
         for topic, message, received in messages:
             kind = message.__msgtype__
             if topic not in known:
-                known[topic] = bag.add_connection(topic, kind, typestore=STORE)
-            bag.write(known[topic], received, STORE.serialize_cdr(message, kind))
+                known[topic] = bag.add_connection(topic, kind, typestore=store)
+            bag.write(known[topic], received, store.serialize_cdr(message, kind))
     return folder
+
+
+def write_ros1(
+    path: Path, messages: Iterable[tuple[str, Any, int]], compression: str = "", store: Typestore = STORE_1
+) -> Path:
+    """A bag of ROS 1 of (topic, message, time of reception [ns])."""
+    bag = Writer1(path)
+    if compression:
+        bag.set_compression(Writer1.CompressionFormat[compression])
+    with bag:
+        known: dict[str, Any] = {}
+        for topic, message, received in messages:
+            kind = message.__msgtype__
+            if topic not in known:
+                known[topic] = bag.add_connection(topic, kind, typestore=store)
+            bag.write(known[topic], received, store.serialize_ros1(message, kind))
+    return path
 
 
 def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: bool = False) -> Path:
     """Joint states stamped by their headers, received later; commands without a header."""
+    return write_messages(folder, _list_messages(columns), plugin, compress)
+
+
+def write_bag_1(path: Path, columns: Columns) -> Path:
+    """The same in a bag of ROS 1."""
+    return write_ros1(path, ((topic, _to_ros1(message), at) for topic, message, at in _list_messages(columns)))
+
+
+def _to_ros1(message: Any) -> Any:
+    header = getattr(message, "header", None)
+    if header is None:
+        return message
+    kind = STORE_1.types["std_msgs/msg/Header"]
+    return dataclasses.replace(message, header=kind(seq=0, stamp=header.stamp, frame_id=header.frame_id))
+
+
+def _list_messages(columns: Columns) -> list[tuple[str, Any, int]]:
     rows = [(EPOCH + round(time * 1e9), *row) for time, *row in zip(*columns.values(), strict=True)]
     states = [("/joint_states", joint_state(now, q, v), now + 1_234_567) for now, q, v, _ in rows]
     commands = [("/command", command(u), now) for now, _, _, u in rows]
-    messages = (message for pair in zip(states, commands, strict=True) for message in pair)
-    return write_messages(folder, messages, plugin, compress)
+    return [message for pair in zip(states, commands, strict=True) for message in pair]
 
 
 def joint_state(stamp: int, qpos: float, qvel: float, name: str = "knee"):
@@ -210,6 +251,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {
     "zip": ("log.zip", write_zip),
     "mcap": ("log.mcap", write_mcap),
     "ros2bag": ("bag", write_sqlite_bag),
+    "ros1bag": ("log.bag", write_bag_1),
     "lerobot": ("dataset", write_lerobot),
 }
 """For each format the name of a file or folder, and what writes one."""
@@ -222,7 +264,7 @@ ROS_COLUMNS = {
 }
 OPTIONS: dict[str, dict[str, str]] = {
     **{name: {} for name in ("csv", "parquet", "npz", "mat", "bam", "zip")},
-    **{name: ROS_COLUMNS for name in ("mcap", "ros2bag")},
+    **{name: ROS_COLUMNS for name in ("mcap", "ros1bag", "ros2bag")},
     "lerobot": {
         "time": "timestamp",
         "qpos": "observation.state[knee.pos]",

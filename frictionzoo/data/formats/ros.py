@@ -1,18 +1,19 @@
-"""ROS 2 recordings, as rosbag2 folders or MCAP files, read by rosbags.
+"""Recordings of ROS, as bags of ROS 1, rosbag2 folders or MCAP files, whose messages rosbags finds.
 
-Only message definitions of ROS's standard packages are used: rosbags would turn those in a recording into Python code
-and run it.
+Messages are decoded by the definitions that the recording carries, otherwise by those of ROS's standard packages.
 """
 
+import bz2
 import hashlib
+import re
 import sqlite3
 import struct
 import sys
 import zlib
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
 
@@ -21,6 +22,8 @@ import numpy as np
 from frictionzoo.core.errors import LogError
 from frictionzoo.data.formats import base
 from frictionzoo.data.formats.base import Format, optional, parsing, register_format
+from frictionzoo.data.formats.messages import Topic, Types
+from frictionzoo.data.presets import MOTORS, find_preset
 from frictionzoo.data.recording import Table
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -28,44 +31,57 @@ MESSAGE, CHUNK, CHUNK_INDEX = 5, 6, 8  # kinds of MCAP records
 STORAGES = (".mcap", ".db3")  # suffixes by which rosbags recognises storages
 FOOTER = struct.Struct("<BQQQI")  # kind, size, start of the summary, start of its index, checksum of the summary
 BLOCK = 1 << 20  # bytes read at a time
-JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # as sensor_msgs/JointState specifies
-OF_JOINTS = (*JOINT_UNITS, "positions", "velocities", "accelerations")  # one entry a name, or empty
 ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"  # as in rosbags
-LONGEST = 2**20  # most entries of an array in a message
+LZ4 = b"\x04\x22\x4d\x18"  # first bytes of an LZ4 frame
+UNITS = {
+    **dict.fromkeys(("position", "positions", "q"), "rad"),
+    **dict.fromkeys(("velocity", "velocities", "dq"), "rad/s"),
+    **dict.fromkeys(("effort", "tau", "tau_est", "tauEst"), "N m"),
+}
+"""Units of fields in the messages of `IN_SI`."""
+IN_SI = ("sensor_msgs", "control_msgs", "trajectory_msgs", *MOTORS)
 
 
 class Ros(Format):
-    """ROS 2 recording with a column `TOPIC/FIELD` for each number and `TOPIC/FIELD[NAME]` for each entry of an array.
+    """Recording with a column `TOPIC/FIELD` for each number and `TOPIC/FIELD[NAME]` for each entry of an array.
 
     Each topic has a time column `TOPIC/time` [ns]: the header stamps if all messages have one, otherwise the times of
     reception. A column missing in some messages has a separate time column, `TOPIC/FIELD[NAME]/time`.
     """
 
+    module: ClassVar[str] = "rosbags.rosbag2"
+
     def read(self, path: Path) -> list[Table]:
         """Read the table of a recording."""
-        reader = optional("rosbags.rosbag2", "rosbags", str(path))
-        typesys = optional("rosbags.typesys", "rosbags", str(path))
-        with parsing(str(path), "a ROS 2 recording"):
-            if path.is_file() and path.suffix not in STORAGES:
-                raise LogError(f"{path}: suffix {path.suffix or 'none'}, expected {' or '.join(STORAGES)}; rename it")
-            files = sorted(file for file in path.iterdir() if file.suffix in STORAGES) if path.is_dir() else [path]
+        reader = optional(self.module, "rosbags", str(path))
+        with parsing(str(path), "a ROS recording"):
             digests = []
-            for file in files:
-                _check(file)
+            for file in self._list(path):
+                self._check(file)
                 with file.open("rb") as stream:
                     digests.append(hashlib.file_digest(stream, "sha256"))
             sha256 = digests[0] if path.is_file() else hashlib.sha256(b"".join(digest.digest() for digest in digests))
-            store = typesys.get_typestore(typesys.Stores.LATEST)
-            store.max_sequence_length = LONGEST
             with reader.Reader(path) as bag:
-                if bag.compression_mode:
-                    expected = "expected a bag that is not or whose storage is; unpack it with `ros2 bag convert`"
-                    raise LogError(f"{path}: compressed by {bag.compression_mode}, {expected}")
-                return [replace(_read(str(path), bag, store), sha256=sha256.hexdigest())]
+                self._check_open(str(path), bag)
+                table = _read(str(path), bag, is_ros2=reader.__name__.endswith("2"))
+                return [replace(table, sha256=sha256.hexdigest())]
+
+    def _list(self, path: Path) -> list[Path]:
+        if path.is_file() and path.suffix not in STORAGES:
+            raise LogError(f"{path}: suffix {path.suffix or 'none'}, expected {' or '.join(STORAGES)}; rename it")
+        return sorted(file for file in path.iterdir() if file.suffix in STORAGES) if path.is_dir() else [path]
+
+    def _check(self, file: Path) -> None:
+        _check(file)
+
+    def _check_open(self, name: str, bag: Any) -> None:
+        if bag.compression_mode:
+            expected = "expected a bag that is not or whose storage is; unpack it with `ros2 bag convert`"
+            raise LogError(f"{name}: compressed by {bag.compression_mode}, {expected}")
 
     def parse(self, name: str, content: bytes) -> Table:
         """Raise LogError: only files and folders can be read."""
-        raise LogError(f"{name}: a ROS 2 recording in an archive, expected a file or a folder; unpack it")
+        raise LogError(f"{name}: a ROS recording in an archive, expected a file or a folder; unpack it")
 
 
 @register_format("mcap")
@@ -88,71 +104,85 @@ class Ros2Bag(Ros):
         return super().claims(path) or (path / "metadata.yaml").is_file()
 
 
-@dataclass
-class Topic:
-    """Samples of one topic.
+@register_format("ros1bag")
+class Ros1Bag(Ros):
+    """Bag of ROS 1."""
 
-    Attributes:
-        received: Time of reception of each sample [ns].
-        stamped: Header stamp of each sample [ns]; 0 if not set.
-        samples: Indices into these lists and values, by column.
-    """
+    suffixes: ClassVar[tuple[str, ...]] = (".bag",)
+    magic: ClassVar[tuple[bytes, ...]] = (b"#ROSBAG V2.0\n",)
+    module: ClassVar[str] = "rosbags.rosbag1"
 
-    received: list[int] = field(default_factory=list)
-    stamped: list[int] = field(default_factory=list)
-    samples: dict[str, tuple[list[int], list[float]]] = field(default_factory=lambda: defaultdict(lambda: ([], [])))
+    def _list(self, path: Path) -> list[Path]:
+        return [path]
 
-    def add(self, message: Any, received: int) -> None:
-        """Add a message as one sample, or a trajectory as one sample per point."""
-        stamped = _nanoseconds(message.header.stamp) if hasattr(message, "header") else 0
-        names = _names(message)
-        points = getattr(message, "points", None) if names else None
-        if not points:
-            self._append(_numbers(message, "", names), received, stamped)
-            return
-        for point in points:
-            after = _nanoseconds(point.time_from_start)
-            self._append(_numbers(point, "", names), received + after, stamped + after if stamped else 0)
+    def _check(self, file: Path) -> None:
+        base.check_size(str(file), file.stat().st_size)
 
-    def _append(self, numbers: Iterator[tuple[str, float]], received: int, stamped: int) -> None:
-        for header, value in numbers:
-            places, values = self.samples[header]
-            if places and places[-1] == len(self.received):
-                raise ValueError(f"{header} twice in one message")
-            places.append(len(self.received))
-            values.append(value)
-        self.received.append(received)
-        self.stamped.append(stamped)
+    def _check_open(self, name: str, bag: Any) -> None:
+        for index in bag.indexes.values():  # in the order of times
+            written = sorted(index, key=lambda entry: (entry.chunk_pos, entry.offset))
+            _refuse_backwards(name, ((0, entry.time) for entry in written))
 
-    def columns(self, topic: str) -> Iterator[tuple[str, str, np.ndarray, list[float]]]:
-        """Yield header, header of the time column, times [ns] and values of each column."""
-        time = np.array(self.stamped if all(self.stamped) else self.received, dtype=np.int64)
-        for header, (places, values) in self.samples.items():
-            is_complete = len(places) == len(time)
-            time_header = f"{topic}/time" if is_complete else f"{topic}{header}/time"
-            yield f"{topic}{header}", time_header, time[places], values
+        def unpack(content: bytes) -> bytes:
+            if content.startswith(b"BZh"):
+                content = bz2.BZ2Decompressor().decompress(content, base.UNPACKED + 1)
+            elif content.startswith(LZ4):
+                frame = optional("lz4.frame", "rosbags", name)
+                content = frame.LZ4FrameDecompressor().decompress(content, base.UNPACKED + 1)
+            base.check_unpacked(name, len(content))
+            return content
+
+        bag.chunks = {place: chunk._replace(decompressor=unpack) for place, chunk in bag.chunks.items()}
 
 
-def _read(name: str, bag: Any, store: Any) -> Table:
-    readable = [connection for connection in bag.connections if connection.msgtype in store.types]
-    advice = "expected one of ROS's own packages; record it as JointState or Float64MultiArray, or export it as CSV"
-    refused = {
-        connection.topic: f"{name}: {connection.topic} is of type {connection.msgtype}, {advice}"
-        for connection in bag.connections
-        if connection.msgtype not in store.types
-    }
-    topics, counts, expected = defaultdict(Topic), Counter(), Counter()
-    for connection, received, content in bag.messages(readable) if readable else ():
-        topics[connection.topic].add(store.deserialize_cdr(content, connection.msgtype), received)
-        counts[connection.topic] += 1
-    for connection in readable:
-        expected[connection.topic] += connection.msgcount
+def _read(name: str, bag: Any, is_ros2: bool) -> Table:
+    typesys = optional("rosbags.typesys", "rosbags", name)
+    standard = typesys.get_typestore(typesys.Stores.LATEST).fielddefs
+    topics: dict[str, Topic] = {}
+    refused, expected, kinds = {}, Counter(), {}
+    for connection in bag.connections:
+        topic, kind = connection.topic, connection.msgtype
+        if kinds.setdefault(topic, kind) != kind:
+            raise LogError(f"{name}: {topic} is of type {kinds[topic]} and of {kind}, expected one; record it again")
+        expected[topic] += connection.msgcount
+        try:
+            types = _define(typesys, connection, standard)
+        except (typesys.TypesysError, AssertionError, ValueError, RecursionError):
+            types = {}
+        topics.setdefault(topic, Topic(types, kind, is_ros2))
+    for connection, received, content in bag.messages() if bag.connections else ():
+        try:
+            topics[connection.topic].add(content, received)
+        except TypeError as error:  # its definition is missing or beyond this reader
+            topics[connection.topic].count += 1
+            refused[connection.topic] = f"{name}: {connection.topic} is of type {connection.msgtype}, {error}"
     for topic, count in expected.items():
-        if count and count != counts[topic]:
-            raise LogError(f"{name}: {topic} has {counts[topic]} messages, expected {count}; copy or record it again")
-    columns, times, units = {}, {}, {}
-    joints = {connection.topic for connection in readable if connection.msgtype == "sensor_msgs/msg/JointState"}
+        if count and count != topics[topic].count:
+            raise LogError(
+                f"{name}: {topic} has {topics[topic].count} messages, expected {count}; copy or record it again"
+            )
+    return _tabulate(name, {topic: samples for topic, samples in topics.items() if topic not in refused}, refused)
+
+
+def _define(typesys: Any, connection: Any, standard: Types) -> Types:
+    """Return the definitions of a topic's type and of those within, parsed by rosbags."""
+    kind, text = connection.msgdef.format.name, connection.msgdef.data
+    if kind == "NONE":
+        return standard
+    # Text of IDL may join several definitions, each with a heading.
+    parts = re.split(r"^=+\nIDL: .*\n", text, flags=re.MULTILINE) if kind == "IDL" else []
+    found = typesys.get_types_from_msg(text, connection.msgtype) if kind == "MSG" else {}
+    for part in filter(str.strip, parts):
+        found |= typesys.get_types_from_idl(part)
+    times = {name: standard[name] for name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")}
+    return {**times, **found}
+
+
+def _tabulate(name: str, topics: Mapping[str, Topic], refused: dict[str, str]) -> Table:
+    columns, times, units, signals, motors = {}, {}, {}, {}, {}
     for topic, samples in topics.items():
+        preset = find_preset(samples.kind)
+        package = samples.kind.partition("/")[0]
         for header, time_header, time, values in samples.columns(topic):
             try:
                 columns |= {time_header: base.to_numbers(time), header: base.to_numbers(np.array(values))}
@@ -160,33 +190,15 @@ def _read(name: str, bag: Any, store: Any) -> Table:
                 refused[header] = f"{name}: {header} {error}"
                 continue
             times[header], units[time_header] = time_header, "ns"
-            if topic in joints:
-                units[header] = JOINT_UNITS[header[len(topic) + 1 :].partition("[")[0]]
-    return Table(name, columns, refused=refused, times=times, units=units)
-
-
-def _nanoseconds(stamp: Any) -> int:
-    return stamp.sec * 10**9 + stamp.nanosec
-
-
-def _names(message: Any) -> list[str]:
-    names = getattr(message, "name", None) or getattr(message, "joint_names", None)
-    return names if isinstance(names, list) else []
-
-
-def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, float]]:
-    """Yield a message's numbers with their field paths; skip texts, headers and wide arrays."""
-    if isinstance(value, int | float | np.number):
-        yield path, value.item() if isinstance(value, np.number) else value
-    elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= base.WIDE:
-        if names and len(value) not in (0, len(names)) and path[1:] in OF_JOINTS:
-            raise ValueError(f"{path[1:]} has {len(value)} entries for {len(names)} names, {', '.join(names[:8])}")
-        labels = names if len(names) == len(value) else range(len(value))
-        yield from ((f"{path}[{label}]", number) for label, number in zip(labels, value.tolist(), strict=True))
-    elif hasattr(value, "__msgtype__"):
-        for inner in value.__dataclass_fields__:
-            if inner not in ("header", "layout", "time_from_start") and not inner.startswith("__"):
-                yield from _numbers(getattr(value, inner), f"{path}/{inner}", names)
+            field = re.sub(r"\[[^]]*\]", "", header[len(topic) + 1 :])
+            if package in IN_SI and (unit := UNITS.get(field.rpartition("/")[2])):
+                units[header] = unit
+            if preset is not None:
+                signals[header] = preset.get(field, "")
+                if signals[header] and package in MOTORS:
+                    motors[header] = package
+    named = {"times": times, "units": units, "signals": signals, "motors": motors}
+    return Table(name, columns, refused=refused, **named)
 
 
 def _check(file: Path) -> None:
