@@ -9,7 +9,7 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import cut_segments, longest_window
 from frictionzoo.identification.choices import Choice
-from frictionzoo.result.evaluate import Evaluation
+from frictionzoo.result.evaluate import Evaluator
 
 FEWEST = 10  # samples of a segment, and of an evaluation rollout
 _log = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ def fit_lengths(settings: Mapping[str, Any], dataset: Dataset, kind: str) -> tup
     evaluation |= {choice.option.partition(".")[2]: choice.value for choice in choices}
     for choice in choices:
         _log.info("%s", choice)
-    Evaluation(dataset, kind, **evaluation)  # refuses impossible options before the work
+    Evaluator(dataset, kind, **evaluation)  # refuses impossible options before the work
     length = settings["segments"]["length"]
     if length != AUTO:
         cut_segments(dataset.train, 1, length)
