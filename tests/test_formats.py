@@ -76,7 +76,7 @@ def test_an_unknown_format_and_an_unknown_file(tmp_path):
     path = write_csv(tmp_path / "a.csv", signals())
     with pytest.raises(ConfigError, match=r"cvs: .* did you mean csv"):
         read_tables(str(path), "cvs")
-    refuse(path.rename(tmp_path / "a.txt"), r"a\.txt: .*data\.format")
+    refuse(path.rename(tmp_path / "a.abc"), r"a\.abc: .*data\.format")
     refuse(tmp_path, r"data\.format")
     refuse(tmp_path / "nowhere.csv", r"nowhere\.csv: no such file")
 
@@ -328,7 +328,7 @@ BAD_OPTIONS = {
     "other-unit": (NAMED, {"time": "deg"}, ConfigError, r"data\.units\.time=deg"),
     "signal": ({**NAMED, "qvle": "v"}, {}, ConfigError, r"data\.columns\.qvle: .* did you mean qvel"),
     "two-times": ({**NAMED, "time": ["t", "q"]}, {}, ConfigError, r"data\.columns\.time"),
-    "number": ({**NAMED, "qpos": 3}, {}, ConfigError, r"data\.columns\.qpos=3"),
+    "number": ({**NAMED, "qpos": 3.5}, {}, ConfigError, r"data\.columns\.qpos=3\.5"),
     "missing": ({**NAMED, "qpos": ["qq"]}, {}, LogError, r"a\.csv: no column qq; did you mean q\?"),
     "unnamed": (
         {"time": "t"},
@@ -412,8 +412,8 @@ def test_json_that_is_no_number(tmp_path, text):
     [
         ("parquet", ".txt", r"suffix \.txt, .* parquet; .*data\.format=parq"),
         ("mat", ".csv", r"suffix \.csv, .* mat"),
-        ("npz", ".mat", r"suffix \.mat, .* npz or zip"),
-        ("npz", "", r"suffix none, .* npz or zip"),
+        ("npz", ".mat", r"suffix \.mat, .* npz or pt or zip"),
+        ("npz", "", r"suffix none, .* npz or pt or zip"),
         ("npz", ".zip", r"no member ends in \.json"),
         ("mcap", ".db3", r"suffix \.db3, .* mcap"),
         ("mcap", "", r"suffix none, expected \.mcap or \.db3"),

@@ -17,7 +17,7 @@ FORBIDDEN = {
     "simulation": {"torch"},
 }
 ALLOWED = {
-    **dict.fromkeys(("bridge", "differentiable", "drive", "proof", "torch_rollout"), "torch"),
+    **dict.fromkeys(("bridge", "differentiable", "drive", "proof", "pt", "torch_rollout"), "torch"),
     **dict.fromkeys(("contract", "formula"), "jax"),
 }
 """Libraries that a room forbids, and the files in it that are there to join them."""

@@ -51,7 +51,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "bench.solreffriction": ([0.1], ""),
     "*.params.*.scale": ("", 0.1),
     "*.params.*.identify": (True, [True]),
-    "data.columns.*": ("", [""], None),
+    "data.columns.*": ("", [""], 0, [0], None),  # columns without a header are numbered
     "data.units.*": ("", 0.1, None),
     "data.sign.*": (1, [1]),
     "data.split.test": ([], "", 0.0),

@@ -55,7 +55,7 @@ def to_recording(
     _refuse_absurd(table.name, "time", headers["time"], clock.time[:, None], LONGEST)
     for signal, values in signals.items():
         _refuse_absurd(table.name, signal, headers[signal], values, LARGEST)
-    notes = tuple(dict.fromkeys(clock.notes))
+    notes = tuple(dict.fromkeys((*table.notes, *clock.notes)))
     origins = {signal: Columns(headers[signal], signal in listed) for signal in signals}
     return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes, origins)
 
@@ -103,11 +103,10 @@ def _check(columns: Mapping[str, Any]) -> Headers:
 
 def list_names(option: str, given: Any) -> tuple[str, ...]:
     """Return an option of `data`, a name or a list of names, as a tuple; ConfigError if it is neither."""
-    if isinstance(given, str):
-        return (given,)
-    if not isinstance(given, Sequence):
+    names = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    if not all(isinstance(name, str | int) for name in names):  # columns without a header are numbered
         raise ConfigError(f"data.{option}={given}: expected a list of names, as in [a, b]")
-    return tuple(str(name) for name in given)
+    return tuple(map(str, names))
 
 
 def _complete(table: Table, headers: Headers) -> Headers:
@@ -123,10 +122,12 @@ def _complete(table: Table, headers: Headers) -> Headers:
     suggestion = " ".join(proposal.overrides())
     available = ", ".join(list(table.columns)[:20]) or "none"
     unusable = f"; no numbers in {', '.join(list(table.refused)[:20])}" if table.refused else ""
+    notes = f" ({', '.join(table.notes)})" if table.notes else ""
+    example = ", as in data.columns.time=0 data.columns.qpos=[1]" if all(map(str.isdecimal, table.columns)) else ""
     raise LogError(
-        f"{table.name}: data.columns.{missing[0]} is missing; "
+        f"{table.name}: data.columns.{missing[0]} is missing{example}; "
         + (f"perhaps {suggestion}; " if suggestion else "")
-        + f"its columns are {available}{unusable}"
+        + f"its columns are {available}{notes}{unusable}"
     )
 
 

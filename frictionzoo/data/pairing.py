@@ -73,6 +73,8 @@ def arrange(
 def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str], passive: Collection[str]) -> Pairing:
     recorded = [place for place, header in enumerate(of.headers) if header]  # paired columns may lack passive joints
     as_listed = Pairing(lay_out(signal, recorded, joints, passive) or tuple(recorded), "listed")
+    if of.listed and all(map(str.isdecimal, of.headers)):  # columns without headers, by number
+        return as_listed
     try:
         pairing = pair_signal(name, signal, [of.headers[place] for place in recorded], joints, passive)
     except LogError:

@@ -38,6 +38,7 @@ class Table:
         units: Units that the format specifies, by header.
         signals: Signals that the format specifies, by header; empty: none; `effort`: a torque, commanded or measured.
         motors: Makers' packages of messages with numbers of motors, by header, see `frictionzoo.data.presets`.
+        notes: Assumptions of the reading, a sentence each.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     signals: Mapping[str, str] = field(default_factory=dict)
     motors: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class Recording:
         fields: Values for the whole recording.
         sha256: Hash of the bytes that were read.
         simulated: Whether a simulator made it; None: not stated.
-        notes: Changes so far, a sentence each: by bringing the signals to common times, and by cleaning.
+        notes: Assumptions and changes so far, a sentence each: of the reading, of bringing the signals to common times,
+            and of cleaning.
         columns: Origin of the columns by signal.
         units: Stated unit of signals by name, before conversion to SI; others are missing.
         without_velocity: Numbers of the joints whose qvel is estimated from qpos.

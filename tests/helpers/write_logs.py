@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import scipy.io
+import torch
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -53,6 +54,11 @@ def write_parquet(path: Path, columns: Columns) -> Path:
 def write_npz(path: Path, columns: Columns) -> Path:
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **columns)
+    return path
+
+
+def write_pt(path: Path, columns: Columns) -> Path:
+    torch.save({name: torch.from_numpy(values) for name, values in columns.items()}, path)
     return path
 
 
@@ -246,6 +252,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {
     "csv": ("log.csv", write_csv),
     "parquet": ("log.parquet", write_parquet),
     "npz": ("log.npz", write_npz),
+    "pt": ("log.pt", write_pt),
     "mat": ("log.mat", write_mat),
     "bam": ("log.json", write_bam),
     "zip": ("log.zip", write_zip),
@@ -263,7 +270,7 @@ ROS_COLUMNS = {
     "ctrl": "/command/data[0]",
 }
 OPTIONS: dict[str, dict[str, str]] = {
-    **{name: {} for name in ("csv", "parquet", "npz", "mat", "bam", "zip")},
+    **{name: {} for name in ("csv", "parquet", "npz", "pt", "mat", "bam", "zip")},
     **{name: ROS_COLUMNS for name in ("mcap", "ros1bag", "ros2bag")},
     "lerobot": {
         "time": "timestamp",

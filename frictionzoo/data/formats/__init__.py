@@ -8,6 +8,17 @@ from frictionzoo.core.errors import LogError
 from frictionzoo.data.formats.base import Format, format_names, get_format, parsing, register_format
 from frictionzoo.data.recording import Table
 
+CONVERSIONS = {
+    **dict.fromkeys((".xlsx", ".xls", ".xlsm", ".ods", ".numbers"), "a spreadsheet; save its sheet as CSV (UTF-8)"),
+    **dict.fromkeys(
+        (".pkl", ".pickle", ".joblib"),
+        "a pickle, which reading could let run any program; in Python: numpy.savez('a.npz', time=time, ...)",
+    ),
+    **dict.fromkeys((".h5", ".hdf5"), "HDF5; in Python: numpy.savez('a.npz', time=file['time'][:], ...)"),
+    ".npy": "an array without names; in Python: numpy.savez('a.npz', time=array[:, 0], qpos=array[:, 1], ...)",
+    ".bag": "a recording of ROS 1; convert it by `rosbags-convert --src a.bag --dst bag`",
+}
+"""What files of other formats are, and their conversion, by suffix."""
 __all__ = ["Format", "find_files", "format_names", "get_format", "read_tables", "register_format"]
 
 
@@ -78,10 +89,13 @@ def _recognise(path: Path) -> Format:
         return by_name[0]
     if len(by_content) == 1 and not path.suffix:
         return get_format(by_content[0])
+    if path.suffix.lower() in CONVERSIONS:
+        raise LogError(f"{path}: {CONVERSIONS[path.suffix.lower()]}")
     description = "a folder" if path.is_dir() else f"suffix {path.suffix or 'none'}"
     if by_content:
+        contents = " or ".join(by_content)
         raise LogError(
-            f"{path}: {description}, but its first bytes are those of {' or '.join(by_content)}; rename it or set "
-            f"data.format={by_content[0]}"
+            f"{path}: {description}, but its first bytes are those of {contents}; rename it or set "
+            f"data.format={contents}"
         )
     raise LogError(f"{path}: {description} of no known format; set data.format to one of {', '.join(format_names())}")

@@ -197,8 +197,7 @@ def _tabulate(name: str, topics: Mapping[str, Topic], refused: dict[str, str]) -
                 signals[header] = preset.get(field, "")
                 if signals[header] and package in MOTORS:
                     motors[header] = package
-    named = {"times": times, "units": units, "signals": signals, "motors": motors}
-    return Table(name, columns, refused=refused, **named)
+    return Table(*(name, columns), refused=refused, times=times, units=units, signals=signals, motors=motors)
 
 
 def _check(file: Path) -> None:
