@@ -144,7 +144,7 @@ REFUSED = {
     "missing": (["data.train=nowhere.csv"], r"nowhere\.csv: no such file"),
     "no match": (["data.train='*.npz'"], r"\*\.npz: no such file"),
     "both parts": (["data.test=a.csv"], r"a\.csv: in data\.train and in data\.test"),
-    "header": (["data.columns.qpos=5"], r"data\.columns\.qpos=5"),
+    "header": (["data.columns.qpos=5.5"], r"data\.columns\.qpos=5"),
     "two rules": (["data.test=b.csv", "data.split.by=file", "data.split.test=[a.csv]"], r"data\.split.*data\.test"),
     "by time": (["data.split.test=[16]"], r"data\.split\.test=\[16\] with by=time"),
     "nothing tests": (["data.split.by=letter"], r"data\.split\.test=\[\] with by=letter"),

@@ -39,7 +39,7 @@ REFUSED = {  # what is chosen, and arguments whose value is of another kind, or 
         loss.velocity={10**20} fit.iterations={2**31} seed={2**63} compilation_cache= data.cache_dir=
         bench.timestep=fast scale.torque=null scale.torque=0 scale=null bench.params.delay.scale=null
         bench.params.delay.high=inf""",
-    FILES: f"""data.train=3 data.columns.qpos=3 data.columns=null data.where={{kp:[nan]}} data.sign.qpos=0
+    FILES: f"""data.train=3 data.columns.qpos=3.5 data.columns=null data.where={{kp:[nan]}} data.sign.qpos=0
         data.units.supply=mile data.units.qpos=0 data.format=absurd data.clean.wrap= data.clean.order={10**9}
         bench.solreffriction=[0.02] bench.solreffriction=[0.02,1.0,1.0]""",
     "data=twin": f"""data.samples={10**9} data.excitation.harmonics=0 data.excitation.phase=[1.0]

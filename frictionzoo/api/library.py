@@ -62,7 +62,7 @@ def _naming_arguments() -> Iterator[None]:
 @_naming_arguments()
 def read(
     *recordings: str | Path | Any,
-    test: str | Path | Sequence[str | Path] = (),
+    test: str | Path | Mapping[str, str | Path] | Sequence[str | Path | Mapping[str, str | Path]] = (),
     name: str = "files",
     format: str = "auto",
     columns: Mapping[str, str | Sequence[str] | None] | None = None,
@@ -81,8 +81,9 @@ def read(
     """Read recordings of any `data=files` format as logs in SI units.
 
     Args:
-        recordings: Paths of files, folders, archives, or globs; or recordings in memory: a pandas table, or a mapping
-            from header to samples of shape (time,) or (time, columns).
+        recordings: Paths of files, folders, archives, or globs; a mapping from key to path for several files of one
+            recording; or recordings in memory: a pandas table, or a mapping from header to samples of shape (time,) or
+            (time, columns).
         test: Paths of recordings for the evaluation only.
         name: Name of the data set.
         format: File format; `auto` detects it.
@@ -110,10 +111,10 @@ def read(
     if not recordings:
         raise LogError("read: no recording, expected paths, tables or mappings; name one, as in read('a.csv')")
     refuse_unlike("clean", clean, Cleaning, "a Cleaning, as in Cleaning(step=0.002)")
-    paths = [str(recording) for recording in recordings if isinstance(recording, str | Path)]
-    in_memory = [recording for recording in recordings if not isinstance(recording, str | Path)]
+    paths = [describe(recording) for recording in recordings if _is_path(recording)]
+    in_memory = [recording for recording in recordings if not _is_path(recording)]
     tables = [_to_table(f"recording {number} in memory", recording) for number, recording in enumerate(in_memory, 1)]
-    tests = [str(path) for path in ([test] if isinstance(test, str | Path) else test)]
+    tests = [describe(path) for path in ([test] if _is_path(test) else test)]
     options = {"format": format, "columns": columns, "units": units, "registers": registers, "sign": sign}
     options |= {"fields": fields, "where": where}
     options |= {"fields_from_name": fields_from_name, "exclude": exclude, "inputs": inputs, "payload": payload}
@@ -302,6 +303,12 @@ def _refuse_unknown(law: str | FrictionModel | Mapping[str, Any]) -> None:
 
 def _gather(logs: Logs | Log | Sequence[Log]) -> Logs:
     return logs if isinstance(logs, Logs) else Logs.of([logs] if isinstance(logs, Log) else logs)
+
+
+def _is_path(recording: Any) -> bool:
+    """Return whether a recording is a path, or paths by key."""
+    paths = [*recording.values()] if isinstance(recording, Mapping) else [recording]
+    return all(isinstance(path, str | Path) for path in paths)
 
 
 def _to_table(name: str, recording: Any) -> Table:

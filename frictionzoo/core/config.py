@@ -39,7 +39,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     **dict.fromkeys(("loss.refine", "loss.by_joint", "bench.second_order"), (True,)),
     **dict.fromkeys(("evaluation.torque.bandwidth", "bench.timestep"), (0.1, None)),
     **{f"data.clean.{part}": (0.1, None) for part in ("wrap", "step", "command_lag", "cutoff")},
-    **dict.fromkeys(("data.train", "data.test"), ("", [""])),
+    **dict.fromkeys(("data.train", "data.test"), ("", [])),
     **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},
     "resume": ("", True, None),
     "model.laws": ("", []),

@@ -23,8 +23,11 @@ from frictionzoo.data.registers import SERIES, UNDETECTED, Registers, decode_tab
 from frictionzoo.data.select import Selection, choose_payloads
 from frictionzoo.data.source import Source, register_source
 from frictionzoo.data.split import Split
+from frictionzoo.data.topics import is_sparse, join, separate
 from frictionzoo.data.units import ratio
 
+Entry = str | dict[str, str]
+"""Path or glob of recordings, or the files of one recording by key."""
 UPRIGHT: Mapping[str, int] = dict.fromkeys(TURNED, 1)
 """Default signs, which turn no signal."""
 AS_IT_IS = Cleaning()
@@ -70,10 +73,7 @@ class Files(Source):
         if origin not in ORIGINS:
             raise ConfigError(f"data.origin={origin}: unknown; {closest(str(origin), filter(None, ORIGINS))}, or null")
         self.name, self.folder, self.source, self.format = name, folder, source, format
-        self.train, self.test = (
-            [] if value in (None, "") else list(list_names(option, value))
-            for option, value in (("train", train), ("test", test))
-        )
+        self.train, self.test = _entries("train", train), _entries("test", test)
         self.columns = {s: list_names(f"columns.{s}", value) for s, value in _signals("columns", columns).items()}
         self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
         self.registers, self.sign = read_registers(registers), _signs(sign)
@@ -93,8 +93,8 @@ class Files(Source):
 
     def find(self) -> None:
         """Check that the files exist, see `Source.find`."""
-        for names in filter(None, (self.train, self.test)):
-            find_files(names, self.folder, self.source)
+        for entry in (*self.train, *self.test):
+            self._find(entry)
 
     def for_joints(self, joints: Sequence[str], passive: Collection[str] = ()) -> "Files":
         """Return the same source for these joints, see `Source.for_joints`."""
@@ -109,6 +109,9 @@ class Files(Source):
             LogError: A file cannot be read or lacks a column that `columns` names, or no recording is kept.
         """
         train, test = self._interpret_all()
+        for recording in train + test:
+            if recording.notes:
+                _log.info("%s: %s: %s", self.name, recording.name, "; ".join(recording.notes))
         return train + test
 
     def load(self) -> Dataset:
@@ -148,15 +151,40 @@ class Files(Source):
             raise LogError(f"{self.name}: data.where and data.exclude leave no recording to {part}")
         return training, testing
 
-    def _tables(self, names: Sequence[str]) -> list[Table]:
-        paths = find_files(names, self.folder, self.source) if names else []
-        tables = [table for path in paths for table in read_tables(path, self.format)]
+    def _find(self, entry: Entry) -> list[dict[str, str]]:
+        """Return the files of the recordings of an entry, by key; a single file has no key."""
+        keyed = entry if isinstance(entry, Mapping) else {"": entry}
+        paths = {key: find_files([name], self.folder, self.source) for key, name in keyed.items()}
+        if len({len(files) for files in paths.values()}) > 1:
+            counts = ", ".join(f"{len(files)} of {key}" for key, files in paths.items())
+            raise LogError(f"{dict(keyed)}: {counts}, expected as many files of each; name them one by one")
+        return [dict(zip(paths, files, strict=True)) for files in zip(*paths.values(), strict=True)]
+
+    def _tables(self, entries: Sequence[Entry]) -> list[Table]:
+        tables = [table for entry in entries for paths in self._find(entry) for table in self._read(paths)]
         return list({table.name: table for table in tables}.values())
+
+    def _read(self, paths: Mapping[str, str]) -> list[Table]:
+        """Read the tables of one file, or the table that several files make."""
+        tables = {key: read_tables(path, self.format) for key, path in paths.items()}
+        if "" in tables:
+            return tables[""]
+        for key, found in tables.items():
+            if len(found) != 1:
+                raise LogError(f"{paths[key]}: {len(found)} recordings, expected one with the key {key}; unpack it")
+        return [join({key: found[0] for key, found in tables.items()}, self.columns.get("time", ()))]
+
+    def _separate(self, table: Table) -> Table:
+        if not any(map(is_sparse, table.columns.values())):
+            return table
+        return separate(
+            table, {**propose(table, self.joints, self.columns, passive=self.passive).columns, **self.columns}
+        )
 
     def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
         """Convert tables to recordings; infer missing options once for all tables with the same headers."""
+        tables = [self._name_motors(self._separate(table)) for table in tables]
         inferred: dict[frozenset[str], _Inferred] = {}
-        tables = [self._name_motors(table) for table in tables]
         for table in tables:
             headers = frozenset(table.columns)
             if headers not in inferred:
@@ -209,10 +237,11 @@ class Files(Source):
         return [recording for recording, _ in arranged]
 
     def _complete(self, table: Table) -> "_Inferred":
-        proposal = self._propose(table)
-        columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
+        given = {signal: headers for signal, headers in self.columns.items() if signal != "time" or not table.is_joined}
+        proposal = self._propose(table, given)
+        columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in given}
         # An inferred unit holds only for the inferred headers, which the options may name too.
-        same = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
+        same = {signal for signal, headers in proposal.columns.items() if given.get(signal, headers) == headers}
         units = {signal: unit for signal, unit in proposal.units.items() if signal in same - set(self.units)}
         already_named = all(headers == (signal,) for signal, headers in columns.items())
         if not already_named or units or proposal.registers:
@@ -225,17 +254,17 @@ class Files(Source):
             _log.log(level, "%s: inferred from names and numbers in %s: %s", self.name, table.name, text)
         registers = SERIES[proposal.registers] if proposal.registers else self.registers
         stated = registers if isinstance(registers, Registers) else None
-        return {**columns, **self.columns}, {**units, **self.units}, stated
+        return {**columns, **given}, {**units, **self.units}, stated
 
-    def _propose(self, table: Table) -> Proposal:
+    def _propose(self, table: Table, given: Mapping[str, Sequence[str]]) -> Proposal:
         """Propose columns and units; no registers for a position column or unit that the user stated otherwise."""
-        proposal = propose(table, self.joints, self.columns, self.registers, self.passive)
+        proposal = propose(table, self.joints, given, self.registers, self.passive)
         if proposal.registers is None:
             return proposal
         headers, unit = proposal.columns["qpos"], self.units.get("qpos")
-        if self.columns.get("qpos", headers) == headers and SERIES[proposal.registers].suits(unit):
+        if given.get("qpos", headers) == headers and SERIES[proposal.registers].suits(unit):
             return proposal
-        return propose(table, self.joints, self.columns, UNDETECTED, self.passive)
+        return propose(table, self.joints, given, UNDETECTED, self.passive)
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
         logs = []
@@ -275,6 +304,29 @@ def _constant(recording: Recording, name: str, given: str | float) -> float:
     if isinstance(value, str) or not np.isfinite(value):
         raise LogError(f"{recording.name}: data.inputs.{name}: its field {given} is {value}, expected a number")
     return float(value)
+
+
+def _entries(option: str, given: Any) -> list[Entry]:
+    """Return the entries of `train` or `test`; ConfigError if one is neither a path nor files by key."""
+    entries = [] if given in (None, "") else [given] if isinstance(given, str | Mapping) else given
+    if not isinstance(entries, Sequence):
+        raise ConfigError(f"data.{option}={given}: expected a list of paths, as in [a.csv, b.csv]")
+    return [_entry(option, entry) for entry in entries]
+
+
+def _is_text(given: Any) -> bool:
+    return isinstance(given, str) and given != ""
+
+
+def _entry(option: str, given: Any) -> Entry:
+    if _is_text(given):
+        return given
+    if isinstance(given, Mapping) and len(given) > 1 and all(map(_is_text, (*given, *given.values()))):
+        return dict(given)
+    raise ConfigError(
+        f"data.{option}: {given!r}, expected a path, or several files of one recording, as in {{state: a.csv, command: "
+        "b.csv}"
+    )
 
 
 def _mapping(option: str, given: Any) -> dict[str, Any]:

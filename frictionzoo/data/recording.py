@@ -39,6 +39,7 @@ class Table:
         signals: Signals that the format specifies, by header; empty: none; `effort`: a torque, commanded or measured.
         motors: Makers' packages of messages with numbers of motors, by header, see `frictionzoo.data.presets`.
         notes: Assumptions of the reading, a sentence each.
+        is_joined: Whether it joins several files, whose time columns `times` has.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Table:
     signals: Mapping[str, str] = field(default_factory=dict)
     motors: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    is_joined: bool = False
 
 
 @dataclass(frozen=True)
