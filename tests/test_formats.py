@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 import scipy.io
+import torch
 from conftest import DATA, needs_data
 from helpers.write_logs import (
     EPOCH,
@@ -422,6 +423,44 @@ def test_json_that_is_no_number(tmp_path, text):
 def test_a_name_that_its_contents_contradict(tmp_path, name, suffix, line):
     path = write_log(tmp_path, name, signals(5))
     refuse(path.rename(tmp_path / f"a{suffix}"), line)
+
+
+class Touch:
+    """An object whose unpickling writes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def test_pytorch_files_of_tensors_and_of_anything_else(tmp_path):
+    path, time = tmp_path / "a.pt", torch.arange(4, dtype=torch.float64) / 100
+    columns = {
+        "time": time,
+        "qpos": torch.ones(4, 1, requires_grad=True),
+        "half": time.bfloat16(),
+        "q": torch.ones(4, 2),
+    }
+    torch.save(
+        {**columns, "q": torch.ones(4, 2), "gain": 4.0, "name": "leg", "inner": {"x": time}, "on": time > 0}, path
+    )
+    (came,) = read_tables(str(path), "auto")
+    assert set(came.columns) == {"time", "qpos", "half", "q[0]", "q[1]", "on"} and "inner" in came.refused
+    assert came.fields == {"gain": 4.0, "name": "leg"}
+    np.testing.assert_array_equal(came.columns["time"], time.numpy())
+    for stored, line in (
+        ({"time": time, "x": Touch(tmp_path / "touched")}, "holds Python objects"),
+        ({"time": np.arange(3.0)}, "holds Python objects"),
+        (time, "holds one Tensor, expected tensors by name"),
+        ({"time": torch.zeros(1).expand(2**40)}, "GB unpacked"),
+    ):
+        torch.save(stored, path)
+        refuse(path, rf"a\.pt: .*{line}")
+    torch.save({"time": time}, path, _use_new_zipfile_serialization=False)
+    refuse(path, r"a\.pt: .*torch\.save")
+    assert not (tmp_path / "touched").exists()
 
 
 def test_two_of_one_name(tmp_path):
