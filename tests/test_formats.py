@@ -443,9 +443,7 @@ def test_pytorch_files_of_tensors_and_of_anything_else(tmp_path):
         "half": time.bfloat16(),
         "q": torch.ones(4, 2),
     }
-    torch.save(
-        {**columns, "q": torch.ones(4, 2), "gain": 4.0, "name": "leg", "inner": {"x": time}, "on": time > 0}, path
-    )
+    torch.save({**columns, "gain": 4.0, "name": "leg", "inner": {"x": time}, "on": time > 0}, path)
     (came,) = read_tables(str(path), "auto")
     assert set(came.columns) == {"time", "qpos", "half", "q[0]", "q[1]", "on"} and "inner" in came.refused
     assert came.fields == {"gain": 4.0, "name": "leg"}
