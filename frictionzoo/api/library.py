@@ -114,7 +114,7 @@ def read(
     paths = [describe(recording) for recording in recordings if _is_path(recording)]
     in_memory = [recording for recording in recordings if not _is_path(recording)]
     tables = [_to_table(f"recording {number} in memory", recording) for number, recording in enumerate(in_memory, 1)]
-    tests = [describe(path) for path in ([test] if _is_path(test) else test)]
+    tests = [describe(path) for path in ([test] if isinstance(test, str | Path | Mapping) else test)]
     options = {"format": format, "columns": columns, "units": units, "registers": registers, "sign": sign}
     options |= {"fields": fields, "where": where}
     options |= {"fields_from_name": fields_from_name, "exclude": exclude, "inputs": inputs, "payload": payload}

@@ -70,7 +70,7 @@ def join(tables: Mapping[str, Table], times: Sequence[str]) -> Table:
         {f"{key}/{header}": error for key, table in tables.items() for header, error in table.refused.items()},
         clocks,
         {f"{key}/{header}": unit for key, table in tables.items() for header, unit in table.units.items()},
-        tuple(f"{key}: {note}" for key, table in tables.items() for note in table.notes),
+        notes=tuple(f"{key}: {note}" for key, table in tables.items() for note in table.notes),
         is_joined=True,
     )
 
