@@ -38,7 +38,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     **{f"loss.{part}": (0.1,) for part in ("position", "velocity", "robust_scale", "encoder_step")},
     **dict.fromkeys(("loss.refine", "loss.by_joint", "bench.second_order"), (True,)),
     **dict.fromkeys(("evaluation.torque.bandwidth", "bench.timestep"), (0.1, None)),
-    **{f"data.clean.{part}": (0.1, None) for part in ("wrap", "step", "command_lag", "cutoff")},
+    **{f"data.clean.{part}": (0.1, None) for part in ("step", "command_lag", "cutoff")},
     **dict.fromkeys(("data.train", "data.test"), ("", [])),
     **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},
     "resume": ("", True, None),
@@ -56,7 +56,8 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.sign.*": (1, [1]),
     "data.split.test": ([], "", 0.0),
     "data.split.gap": (1.0, None),
-    "data.clean.velocity_lag": (0.1, "", None),
+    **dict.fromkeys(("data.clean.velocity_lag", "data.clean.wrap"), (0.1, "", None)),
+    "data.registers": ("", {}, None),
 }
 _OWN_CACHE = "user"  # the user's cache folder of the operating system
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # JAX counts in 32 bits, generators take 64-bit seeds
@@ -71,7 +72,7 @@ _KINDS = {
 # Sections whose keys a user chooses: names of fields and signals, patterns of joints and their groups.
 _OPEN = (
     *("model.laws", "bench.tie"),
-    *(f"data.{part}" for part in ("columns", "units", "fields", "where", "exclude", "inputs")),
+    *(f"data.{part}" for part in ("columns", "units", "registers", "fields", "where", "exclude", "inputs")),
     *(f"*.params.*.{part}" for part in ("init", "low", "high", "identify", "tie")),
 )
 
