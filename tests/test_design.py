@@ -109,7 +109,7 @@ def test_a_drive_that_cannot_rest_within_its_limits_is_refused(knee: Bench) -> N
         refuse_unholdable(knee, knee.initial_values(), {}, limits)
     refuse_unholdable(knee, knee.initial_values(), {}, replace(limits, torque=np.array([0.3])))
     driven = Bench("knee_rod.xml", actuator=Force())
-    with pytest.raises(ConfigError, match="Force: its command is no position, and nothing would hold the drive"):
+    with pytest.raises(ConfigError, match="Force: its command is not a position, and nothing would hold the drive"):
         refuse_unholdable(driven, driven.initial_values(), {}, replace(limits, torque=np.array([3.0])))
 
 

@@ -243,10 +243,20 @@ def judge_graph(plain: Path, written: Path, names: dict[str, str]) -> None:
     assert json.loads(facts["joints"]) == [*names.values()]
 
 
+def judge_header(plain: Path, written: Path, names: dict[str, str]) -> None:
+    """Names are string literals in one line; every other line is the harmless file's."""
+    pairs = list(zip(plain.read_text().splitlines(), written.read_text().splitlines(), strict=True))
+    ((_, line),) = [(before, after) for before, after in pairs if before != after]
+    literals = re.findall(r'"((?:[^"\\]|\\[0-7]{3})*)"', line.partition("{")[2])
+    read = [re.sub(r"\\([0-7]{3})", lambda byte: chr(int(byte[1], 8)), text).encode("latin1") for text in literals]
+    assert [name.decode() for name in read] == [*names.values()]
+
+
 JUDGES: dict[str, Callable[[Path, Path, dict[str, str]], None]] = {
     ".py": judge_python,
     **dict.fromkeys((".xml", ".urdf", ".sdf"), judge_xml),
     ".json": judge_json,
+    ".h": judge_header,
     ".npz": judge_arrays,
     **dict.fromkeys((".onnx", ".pt"), judge_graph),
 }

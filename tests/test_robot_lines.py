@@ -62,7 +62,7 @@ LINES = [  # what a file has, and what the line about it names
     (driven('<intvelocity name="a" joint="hinge" kp="2" actrange="-1 1"/>'), r"actuator a .*activation \(integrator\)"),
     (driven('<muscle name="a" joint="hinge" lengthrange="0 1"/>'), r"actuator a .* activation \(muscle\)"),
     (driven('<damper name="a" joint="hinge" kv="1" ctrlrange="0 1"/>'), r"actuator a .* gain \(affine\)"),
-    (driven('<motor name="a" joint="hinge"/><velocity name="b" joint="hinge"/>'), "joint hinge has 2 .* b left out"),
+    (driven('<motor name="a" joint="hinge"/><motor name="b" joint="hinge"/>'), "joint hinge has 2 .* b left out"),
     (
         driven('<motor name="a" joint="hinge" group="2"/>', '<option actuatorgroupdisable="2"/>'),
         "actuator a .* actuatorgroupdisable",

@@ -103,12 +103,12 @@ def name_motors(table: Table, joints: Sequence[str]) -> tuple[Table, str]:
         return table, f"motors are numbered, and {robots} of {packages[0]} may have these joints; set data.columns"
     ((robot, order),) = found.values()
 
-    def rename(header: str) -> str:
+    def name_joint(header: str) -> str:
         is_named = header in table.motors and _motor(header) < len(order)
         return _NUMBER.sub(f"[{order[_motor(header)]}]", header, count=1) if is_named else header
 
     changed = {
-        part: {rename(header): value for header, value in getattr(table, part).items()}
+        part: {name_joint(header): value for header, value in getattr(table, part).items()}
         for part in ("columns", "times", "units", "signals", "refused")
     }
     return replace(table, **changed, motors={}), f"motors named by their numbers on the {robot} ({packages[0]})"
