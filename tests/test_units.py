@@ -96,7 +96,7 @@ def test_own_registers_and_a_unit_that_a_user_states(tmp_path):
     own = read(tmp_path, columns, registers={"turn": 16384, "zero": 5000}).signals
     np.testing.assert_allclose(own["qpos"][:, 0], QPOS, atol=2e-4)
     np.testing.assert_allclose(own["ctrl"][:, 0], CTRL, atol=2e-4)
-    # The zero is that of the series whose unit a user states; another unit, or none of them, is no register.
+    # A stated unit selects the series with its zero; no series has another unit.
     raw = registers("dynamixel_x", SIGNED)
     rounded = read(tmp_path, raw, units={"qpos": "0.00153398", "ctrl": "0.00153398", "qvel": "0.0239809"})
     np.testing.assert_allclose(rounded.signals["qpos"][:, 0], QPOS, atol=1e-3)

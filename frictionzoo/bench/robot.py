@@ -266,7 +266,7 @@ def _refuse_shared(source: str, file: RobotFile, option: str) -> None:
             raise BenchError(
                 f"{source}: actuator {name} moves {len(moved)} joints, {listed(moved)}, by a tendon or another "
                 f"transmission, which a bench does not simulate; choose other joints (bench.joint), or give each joint "
-                f"a value of its own ({option})"
+                f"a separate value ({option})"
             )
 
 

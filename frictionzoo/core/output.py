@@ -187,7 +187,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def complete(record: R) -> R:
-    """Return a record as it is read back: validated, with Python's numbers, and None instead of non-finite ones.
+    """Return a record after writing and reading: validated, with Python's numbers, and None instead of non-finite ones.
 
     Raises:
         msgspec.ValidationError: A value has another type than its field.

@@ -47,7 +47,7 @@ class Registers:
         return {"position": step, "velocity": velocity, "supply": SUPPLY}.get(kind, 1.0)
 
     def suits(self, unit: str | None) -> bool:
-        """Return whether a stated unit of the position is that of the register, or None."""
+        """Return whether a stated unit of the position equals the register's unit, or is None."""
         try:
             return unit is None or abs(float(unit) / self.units("position") - 1) < SAME_UNIT
         except ValueError:

@@ -4,7 +4,6 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +87,8 @@ def run_compiled(
     compiler = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
     if compiler is None:
         raise ExportError("no C compiler (cc, gcc or clang), expected one to check the written C code; install one")
-    call = f"void run(const void *in, double *out) {{ {function}(in, out); }}\n"
+    call = "void run(long calls, const double *in, long width, double *out, long outputs) { long i; "
+    call += f"for (i = 0; i < calls; i++) {function}((const void *)(in + i * width), out + i * outputs); }}\n"
     inputs, results = np.ascontiguousarray(inputs, np.float64), np.empty((len(inputs), outputs))
     with tempfile.TemporaryDirectory() as scratch:
         written, library = Path(scratch, "run.c"), Path(scratch, "run.so")
@@ -98,10 +98,7 @@ def run_compiled(
         if done.returncode:
             raise ExportError(f"{compiler} refuses the written C code: {' '.join(done.stderr.split())[:300]}")
         compiled = ctypes.CDLL(str(library))
-        for address, result in _addresses(inputs, results):
-            compiled.run(ctypes.c_void_p(int(address)), ctypes.c_void_p(int(result)))
+        addresses = [ctypes.c_void_p(array.ctypes.data) for array in (inputs, results)]
+        sizes = [ctypes.c_long(size) for size in (*inputs.shape, outputs)]
+        compiled.run(sizes[0], addresses[0], sizes[1], addresses[1], sizes[2])
     return results
-
-
-def _addresses(*arrays: np.ndarray) -> Iterable[tuple[int, ...]]:
-    return zip(*(array.ctypes.data + array.strides[0] * np.arange(len(array)) for array in arrays), strict=True)

@@ -24,7 +24,7 @@ from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.simulation.fold import CannotSpecialiseError, specialise
 
 FILE, FUNCTION, DESIRED = "friction_compensation.h", "friction_compensation", "desired_velocity"
-GAIN = 0.95  # what is left keeps the joint passive where its friction is a few per cent below the identified one
+GAIN = 0.95  # below 1, so that a joint with a few per cent less friction than identified stays passive
 BAND = 0.01  # default dead band, as a share of the joint's highest recorded speed
 MOST_OPERATIONS = 5000  # a compiler takes minutes for more, a microcontroller longer than a control step
 _SPEEDS = (1e-3, 0.03, 0.3, 0.999, 1.001, 3.0)  # at which passivity is checked, in dead bands
@@ -70,6 +70,7 @@ class _Law:
         gain: Share of the friction to cancel.
         band: Dead band [rad/s or m/s] of each joint.
         limit: Largest torque [N m or N] of each joint.
+        share: Largest share of its friction that a slow joint gets back; None for a model that may add energy.
     """
 
     def __init__(self, fitted: FittedDrive, gain: float, band: float | None, limit: float | None) -> None:
@@ -80,10 +81,11 @@ class _Law:
         self.limit = np.full(nv, np.inf if limit is None else limit)
         if limit is None:
             self.limit = np.abs(self(np, samples, samples.qvel)).max(axis=0)
-        if fitted.model.dissipative and (share := self.highest_share()) > 1:
+        self.share = self._highest_share() if fitted.model.dissipative else None
+        if self.share is not None and self.share > 1:
             raise ExportError(
-                f"target=compensation: the torque is {share:.3g} times the friction at some speed, expected at most 1, "
-                "or it drives the joint; set a smaller gain or another dead_band"
+                f"target=compensation: the torque is {self.share:.3g} times the friction at some speed, expected at "
+                "most 1, or it drives the joint; set a smaller gain or another dead_band"
             )
 
     def __call__(self, xp: Any, state: DriveState, desired: Any) -> Any:
@@ -106,7 +108,7 @@ class _Law:
         torque, frictionloss, damping = (0.0 if term is None else term for term in terms)
         return torque + way * frictionloss + damping * qvel
 
-    def highest_share(self) -> float:
+    def _highest_share(self) -> float:
         """Return the largest share of its friction that a slow joint gets back, also when it starts from rest."""
         samples, shares = self._fitted.samples, list[float]()
         some = samples.map(lambda signal: np.asarray(signal)[:: max(1, len(samples.qvel) // 1000)])
@@ -133,8 +135,8 @@ class _Law:
             "A controller that acts late compensates late: it drives a joint for that time after each reversal. Take a "
             "smaller gain or a larger dead_band for a delay of several control steps.",
         ]
-        if model.dissipative:
-            share = f"A slow joint gets back at most {100 * self.highest_share():.3g} % of its friction"
+        if self.share is not None:
+            share = f"A slow joint gets back at most {100 * self.share:.3g} % of its friction"
             at_rest = "so the torque alone moves none" if model.constraint else "a start from rest was not checked"
             said.append(f"{share}; {at_rest}.")
         else:

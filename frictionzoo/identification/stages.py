@@ -11,9 +11,10 @@ from frictionzoo.core.telling import tell
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit.loss import soft_width
 from frictionzoo.identification.choices import OPTIONAL, RIVALS, imply
+from frictionzoo.identification.lengths import FEWEST
 from frictionzoo.identification.noise import Misfit
 from frictionzoo.identification.pilot import Pilot, PilotResult, halve_step
-from frictionzoo.identification.trials import COARSEST, FEWEST, MOST_STEPS, Trials, put
+from frictionzoo.identification.trials import COARSEST, MOST_STEPS, Trials, put
 
 _LONGEST, _SHORT = 1.0, 0.1  # s, longest segments with and without estimated initial states
 _GROWTH = 20.0  # largest growth of a disturbance within a segment

@@ -24,12 +24,12 @@ from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
 from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, is_open
+from frictionzoo.identification.lengths import FEWEST
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.models import FrictionModel, TorchFriction
 
 _log = logging.getLogger(__name__)
-FEWEST = 10  # samples of a segment
 _MANY = 10  # segments at least: the spread between them gives the intervals
 COARSEST = 1e-3  # s, longest first timestep, or 1/_FEWEST_STEPS of the sample interval if that is longer
 _FEWEST_STEPS = 5

@@ -34,7 +34,7 @@ def command(time: np.ndarray | float, phase: np.ndarray) -> np.ndarray:
 
 
 def dry(bam: dict[str, Any], motor: np.ndarray, external: np.ndarray, velocity: np.ndarray) -> Any:
-    """The limit of BAM's dry friction [N m]: m6 with its own terms, some of which other models lack."""
+    """The limit of BAM's dry friction [N m]: m6 with terms that other models lack."""
     of = lambda name: bam.get(f"load_friction_{name}", 0.0)  # noqa: E731
     load, at_rest = (
         of(together) * np.abs(external - motor) + np.abs(of(f"external{part}") * external - of(f"motor{part}") * motor)

@@ -85,14 +85,20 @@ def write_messages(
     bag = Writer(folder, version=9, storage_plugin=plugin)
     if compress:
         bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    return _fill(bag, messages, store, store.serialize_cdr, folder)
+
+
+def _fill(
+    bag: Writer | Writer1, messages: Iterable[tuple[str, Any, int]], store: Typestore, encode: Callable, path: Path
+) -> Path:
     with bag:
         known: dict[str, Any] = {}
         for topic, message, received in messages:
             kind = message.__msgtype__
             if topic not in known:
                 known[topic] = bag.add_connection(topic, kind, typestore=store)
-            bag.write(known[topic], received, store.serialize_cdr(message, kind))
-    return folder
+            bag.write(known[topic], received, encode(message, kind))
+    return path
 
 
 def write_ros1(
@@ -102,14 +108,7 @@ def write_ros1(
     bag = Writer1(path)
     if compression:
         bag.set_compression(Writer1.CompressionFormat[compression])
-    with bag:
-        known: dict[str, Any] = {}
-        for topic, message, received in messages:
-            kind = message.__msgtype__
-            if topic not in known:
-                known[topic] = bag.add_connection(topic, kind, typestore=store)
-            bag.write(known[topic], received, store.serialize_ros1(message, kind))
-    return path
+    return _fill(bag, messages, store, store.serialize_ros1, path)
 
 
 def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: bool = False) -> Path:

@@ -78,7 +78,7 @@ class JointPD(Actuator):
             )
 
     def with_soft_joints(self) -> "JointPD":
-        """Return the law for joints some of which have no kp in the robot's file."""
+        """Return the law for a robot whose file has no kp for some joints."""
         other = copy.copy(self)
         other.all_stiff = False
         return other
