@@ -3,6 +3,7 @@
 import re
 from importlib.metadata import distribution
 from pathlib import Path
+from typing import Any
 
 import jax
 import mujoco
@@ -59,7 +60,7 @@ def test_a_bench_is_the_makers_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("law", ["JointPD", "Force"])
 def test_the_engine_moves_as_the_makers_file(law: str, tmp_path: Path) -> None:
     """One compiled rollout for all files, of which it gets the numbers."""
-    pd: dict[str, float] = {"kp": 1.0, "kd": 1.0, "ctrl_low": -1.0, "ctrl_high": 1.0} if law == "JointPD" else {}
+    pd: dict[str, Any] = {"kp": [1.0, 0.0], "kd": 1.0, "ctrl_low": -1.0, "ctrl_high": 1.0} if law == "JointPD" else {}
     actuator: Actuator = getattr(fz, law)(torque_limit=1.0, torque_low=-2.0, **pd)
     path = save(tmp_path, Variant(MOTOR.format(1, "")).text())
     general = fz.Robot(str(path), actuator=actuator, params={**KNOWN, "delay": 5 * STEP})

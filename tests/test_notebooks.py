@@ -19,7 +19,7 @@ pytestmark = [
 
 
 def hold_parameters(printed: list[str], count: int) -> None:
-    """The hidden parameters come out within 5 %: what 6 or 8 s of this noise allow."""
+    """The hidden parameters come out within 5 %: what 8 s of this noise allow."""
     errors = [float(line.split()[-2]) for line in printed if " hidden " in line]
     assert len(errors) == count and all(abs(error) < 5.0 for error in errors), printed
 
@@ -54,7 +54,7 @@ def hold_paper(folder: Path, printed: list[str]) -> None:
 
 SHORT = {  # a notebook's parameters in its short mode, how many figures it shows, and what it has to leave
     "quickstart": ('FOLDER = "quickstart"\nSECONDS = 8.0\nITERATIONS = 250', 3, hold_quickstart),
-    "add_a_law": ('FOLDER = "add_a_law"\nSECONDS = 6.0\nOTHERS = ("mujoco_default", "coulomb_smooth")', 3, hold_a_law),
+    "add_a_law": ('FOLDER = "add_a_law"\nSECONDS = 8.0\nOTHERS = ("mujoco_default", "coulomb_smooth")', 3, hold_a_law),
     "paper": (
         'FOLDER = "paper"\nMODELS = "baseline,coulomb_smooth,mujoco_default"\n'
         'OPTIONS = ["data.samples=30000", "data.cache_dir=null", "segments.count=1000", "fit.iterations=300", '
