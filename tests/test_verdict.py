@@ -114,6 +114,23 @@ def test_one_finding_is_never_nothing(good: Result, path: str, value: Any, grade
     assert any(text in say_finding(finding) for finding in verdict["findings"])
 
 
+@pytest.mark.parametrize(("ended", "is_heavy"), [("low", True), ("high", False), ("one", False)])
+def test_an_armature_at_its_lower_bound_in_every_joint_means_heavy_links(
+    good: Result, ended: str, is_heavy: bool
+) -> None:
+    spoilt = copy.deepcopy(good)
+    armature = next(p for p in spoilt.parameters if p.name == "armature")
+    rows = [copy.deepcopy(armature.by_joint[0]) for _ in range(3)]
+    for row, name in zip(rows, ("hip", "knee", "ankle"), strict=True):
+        row.name, row.joints, row.at_bound = name, [name], ended != "one" or name == "hip"
+        row.value = row.high if ended == "high" else row.low
+    armature.by_joint, armature.at_bound = rows, True
+    verdict = judge(spoilt)
+    said = say_finding(verdict.findings[0])
+    assert ("the links of the model file are too heavy" in said and "fit.links" in said) == is_heavy
+    assert (verdict.grade == "do not use it") == (is_heavy or ended == "high")
+
+
 def test_what_is_left_is_no_finding_where_it_is_noise_or_little(good: Result) -> None:
     for changes in ({"noise": 0.1495}, {"correlation": 0.1}, {"residual": 0.02}):
         assert judge(spoil(good, "residual", residual(**changes)))["findings"] == []

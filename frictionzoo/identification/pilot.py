@@ -189,7 +189,8 @@ class Pilot:
             equations._replace(gradient=equations.gradient + delta),
             scores + delta / len(scores),
         )
-        predicted = self._conclude(vector + change, loss, moving, found.states)
+        with np.errstate(over="ignore"):  # a linear step of a logarithm may end at infinity, beyond all bounds
+            predicted = self._conclude(vector + change, loss, moving, found.states)
         self._end = equations, scores
         return predicted
 

@@ -127,7 +127,8 @@ class Parts:
         for columns in describe_columns(dataset.logs, bench.joints) if bench.nv > 1 else ():
             others = len(columns["logs"]) - 1
             names = columns["logs"][0] + (f" and {others} more" if others else "")
-            _log.info("%s: columns by joint\n%s", names, align(list_columns(columns)))
+            for line in (f"{names}: columns by joint", *align(list_columns(columns)).splitlines()):
+                _log.info("%s", line)
         observing = bench.observing(model.inputs)
         train, test = (tuple(map(observing.accept, logs)) for logs in (dataset.train, dataset.test))
         doubts = check_up(Dataset(dataset.name, train, test), observing, settings["checkup"])

@@ -111,11 +111,7 @@ def _find_doubts(result: Result) -> Iterator[types.ResultFinding]:
         yield _find("reference", doubt)
     yield from _doubt_train(result)
     yield from _doubt_fit(result.fit)
-    for p in result.parameters:
-        if p.at_bound:
-            unit = "" if p.unit == "1" else f" {p.unit}"
-            text = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
-            yield _find("bounds", text, "widen the bounds or try another model", severe=_is_cut_off(p))
+    yield from _doubt_bounds(result.parameters)
     yield from _doubt_parameters(result)
     yield from _doubt_stability(result)
 
@@ -329,6 +325,31 @@ def explain_failure(result: Result) -> list[str] | None:
         "commands act with a delay: identify bench.params.delay",
         "the recordings do not excite the drive, or the bounds do not suit it",
     ]
+
+
+def _doubt_bounds(parameters: Sequence[ParameterRecord]) -> Iterator[types.ResultFinding]:
+    """Yield parameters at their bounds, and links whose inertia leaves nothing for the armature of any joint."""
+    for p in parameters:
+        if p.at_bound and _is_heavy(p):
+            yield _find(
+                "identification",
+                f"bench.armature of all {len(p.by_joint)} joints ended at its lower bound: the links of the model file "
+                "are too heavy",
+                "check whether the file counts an inertia twice or adds the rotors to the links; fit=inverse_dynamics "
+                "fit.links=[...] identifies link inertias from a recorded torque",
+                severe=True,
+            )
+        elif p.at_bound:
+            unit = "" if p.unit == "1" else f" {p.unit}"
+            text = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
+            yield _find("bounds", text, "widen the bounds or try another model", severe=_is_cut_off(p))
+
+
+def _is_heavy(parameter: ParameterRecord) -> bool:
+    """Return whether the armature of each of several joints ended at its lower bound."""
+    rows = parameter.by_joint
+    is_armature = parameter.owner == "bench" and parameter.name == "armature"
+    return is_armature and len(rows) > 1 and all(row.at_bound for row in rows) and not _ended_high(parameter)
 
 
 def _is_cut_off(parameter: ParameterRecord) -> bool:
