@@ -16,6 +16,7 @@ _log = logging.getLogger(__name__)
 
 SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs used together
 _MOST = 0.9  # share of all samples that is in logs long enough for a window
+_GAP, _GAP_SHARE = 1.0, 0.1  # default gap between training and test [s], and its largest share of a log
 
 
 @dataclass(frozen=True)
@@ -173,10 +174,11 @@ def longest_window(logs: Sequence[Log]) -> int:
     return int(samples[np.argmax(covered >= _MOST * covered[-1])]) - 1
 
 
-def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
+def split_by_time(log: Log, test_share: float, gap: float | None) -> tuple[Log, Log]:
     """Split one log into its first block for training and its last, of `test_share`, for testing.
 
-    An unused gap [s] between them keeps the state at the end of one from revealing the other.
+    An unused gap [s] between them keeps the state at the end of one from revealing the other; None for 1 s, but at most
+    a tenth of the log.
 
     Raises:
         LogError: A part would have fewer than two samples.
@@ -184,6 +186,8 @@ def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
     """
     if not 0 <= test_share <= 1:
         raise ConfigError(f"data.split.test_share={test_share}: expected a share between 0 and 1")
+    if gap is None:
+        gap = min(_GAP, _GAP_SHARE * log.samples * log.timestep)
     if not gap >= 0:
         raise ConfigError(f"data.split.gap={gap}: expected 0 s or more")
     test = round(test_share * log.samples)

@@ -15,7 +15,6 @@ from frictionzoo.core.segments import split_by_time
 from frictionzoo.data.recording import Recording
 from frictionzoo.data.select import is_among, refuse_absent
 
-_GAP, _GAP_SHARE = 1.0, 0.1  # default gap [s], and its largest share of a log
 _log = logging.getLogger(__name__)
 
 
@@ -75,7 +74,7 @@ class Split:
     def _divide_by_time(self, logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
         train, test, errors = [], [], []
         for log in logs:
-            gap = min(_GAP, _GAP_SHARE * log.samples * log.timestep) if self.gap is None else float(self.gap)
+            gap = None if self.gap is None else float(self.gap)
             try:
                 first, last = split_by_time(log, float(self.test_share), gap)
             except LogError as error:
