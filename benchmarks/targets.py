@@ -78,6 +78,17 @@ PROGRAMS = {
         *("Isaac Lab", ("isaaclab", "mjcf"), ("roll_isaaclab.py",), "isaaclab.txt"),
         unrun="PhysX was not run: MuJoCo moves the joints",
     ),
+    "isaaclabnewton": Program(
+        "Isaac Lab",
+        ("isaaclab physics=newton", "mjcf"),
+        ("roll_isaaclab.py", "--target=isaaclab physics=newton"),
+        "isaaclab.txt",
+        unrun="Newton was not run: MuJoCo moves the joints",
+    ),
+    "isaaclab2": Program(
+        *("Isaac Lab 2", ("isaaclab", "mjcf"), ("roll_isaaclab.py",), "isaaclab2.txt"),
+        unrun="PhysX was not run: MuJoCo moves the joints",
+    ),
     "genesis": Program("Genesis", BENCH, ("roll_genesis.py",), "genesis.txt"),
     "drake": Program("Drake", ("urdf", *BENCH), ("roll_drake.py", "--target=urdf"), "drake.txt", "no dry friction"),
     "drakesdf": Program("Drake", ("sdf", *BENCH), ("roll_drake.py", "--target=sdf"), "drake.txt", "no dry friction"),
@@ -211,7 +222,9 @@ def make_environment(requirements: Path, environments: Path) -> tuple[Path, str]
     if made.exists() and made.read_bytes() == requirements.read_bytes():
         return python, ""
     venv.create(place, with_pip=True, clear=True)
-    command = [str(python), "-m", "pip", "install", "--quiet", "--no-deps", "-r", str(requirements)]
+    # Isaac Lab 3 and BAM ask for Python 3.12; what is used of them also runs on 3.11.
+    options = ["--quiet", "--no-deps", "--ignore-requires-python"]
+    command = [str(python), "-m", "pip", "install", *options, "-r", str(requirements)]
     ended = subprocess.run(command, capture_output=True, text=True)
     if ended.returncode:
         return python, f"no environment: {next(iter(reversed(ended.stderr.strip().splitlines())), 'pip failed')}"

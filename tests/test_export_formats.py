@@ -3,12 +3,15 @@
 import io
 import itertools
 import json
+import os
+import sys
 import warnings
 import zipfile
 from collections.abc import Iterable
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,18 +19,21 @@ import pytest
 import torch
 from conftest import slow_but
 from helpers.drawn import MODELS, draw, fit, write
+from helpers.isaaclab import load_recorded, read_signatures, stub_configurations
 
 from frictionzoo import __version__
 from frictionzoo.api.identified import Identified
-from frictionzoo.bench.read_bam import LAWS, read_bam
-from frictionzoo.core.errors import ExportError
+from frictionzoo.bench.read_bam import DUTY, LAWS, read_bam
+from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.export.isaaclab import IsaacLab
 from frictionzoo.export.mjlab import Mjlab
+from frictionzoo.export.module import load_module
 from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 ROOT = Path(__file__).parent.parent
+SITES = "FRICTIONZOO_ISAACLAB"  # site-packages folders, with os.pathsep between them
 GRAPHS = list(itertools.product(MODELS, ("torchscript", "onnx")))
 KINDS = ("neural_friction", "temperature_arrhenius")  # of laws: ONNX's exporter takes seconds for each
 
@@ -182,6 +188,68 @@ def test_bam_holds_a_smooth_law(tmp_path: Path, model: str, steepness: str) -> N
     assert "sticks" in " ".join(export.limits)
 
 
+BAM_LIMIT = "bench.actuator.params.duty_limit={init:0.9,low:0.1,high:1.0,scale:1.0,identify:false}"
+
+
+@pytest.mark.parametrize("model", [pytest.param("quadratic", marks=pytest.mark.slow), "directional"])
+def test_mjlab_gets_bams_actuator_for_bams_friction(tmp_path: Path, model: str) -> None:
+    fitted = (fit if model == "quadratic" else draw)(model, *STS3215, BAM_LIMIT)
+    export = write("mjlab", fitted, tmp_path, gain="16", supply="12")
+    file, parameters = export.files
+    assert "friction=" not in (text := (tmp_path / file).read_text()) and "BamActuatorCfg(" in text
+    calls = []
+    stubs = {
+        "bam.mjlab": {"BamActuatorCfg": lambda **values: calls.append(values), "bam_init": None},
+        "mjlab.managers.event_manager": {"EventTermCfg": SimpleNamespace},
+    }
+    run_with(tmp_path / file, stubs)
+    (values,) = calls
+    assert values["json_path"] == str(tmp_path / parameters) and values["delay_max_lag"] == 20
+    assert {*values} <= {*BAM_FIELDS}
+    # The voltages are the servo's, also where the duty cycle ends.
+    bench = fitted.values["bench"]
+    error_gain, limit = DUTY[read(tmp_path / parameters)["actuator"]]
+    assert values["vin"] * limit == pytest.approx(12 * 0.9)
+    assert values["vin"] * values["kp_fw"] * error_gain == pytest.approx(12 * 16 * bench["duty_gain"][0])
+    drive = read_bam(tmp_path / parameters)
+    assert drive.model == model and drive.friction == pytest.approx(numbers(fitted, "friction"))
+    qpos, torque = export.differences
+    assert torque.largest < 1e-12
+    if model == "quadratic":
+        assert qpos.largest < 1e-3  # BAM takes the motor's torque of the step before
+
+
+# Of better-actuator-models 1.0.2 on mjlab 1.6.0: the arguments of BamActuatorCfg that are used.
+BAM_FIELDS = [
+    *("json_path", "vin", "kp_fw", "stiff_frictionloss"),
+    *("target_names_expr", "delay_min_lag", "delay_max_lag"),
+]
+
+
+def test_mjlab_gets_mujocos_friction_where_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted = draw("quadratic", *STS3215)
+    nearest = Nearest(fitted.values["bench"], *np.full((2, 1), 0.1))
+    monkeypatch.setattr("frictionzoo.export.configclass.find_nearest", lambda _: nearest)
+    (file,) = write("mjlab", fitted, tmp_path, friction="mujoco").files
+    assert "DcMotorActuatorCfg(" in (tmp_path / file).read_text()
+    with pytest.raises(ConfigError, match="friction=viscous"):
+        write("mjlab", fitted, tmp_path, friction="viscous")
+    with pytest.raises(ExportError, match="friction=lugre"):
+        write("mjlab", fitted, tmp_path, friction="lugre")
+    with pytest.raises(ExportError, match="friction=bam"):
+        write("mjlab", draw("coulomb_stribeck"), tmp_path, friction="bam")
+
+
+def run_with(path: Path, stubs: dict[str, dict[str, Any]]) -> Any:
+    """Import a written file where these modules are what it imports."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, content in stubs.items():
+            module = ModuleType(name)
+            module.__dict__.update(content)
+            patch.setitem(sys.modules, name, module)
+        return load_module(path)
+
+
 def test_bam_gets_the_nearest_of_another_law_for_the_servo_with_its_gain(tmp_path: Path) -> None:
     export = write("bam", draw("neural_friction", *STS3215), tmp_path)
     law = read(tmp_path / "m3.json")
@@ -216,6 +284,50 @@ RECORDED = (
     *(f"~bench.actuator.params.{name}" for name in ("kp", "kd")),
     f"+bench.actuator.params.torque_saturation={SIZE.format(5.0)}",
 )
+
+
+@pytest.mark.parametrize("major", ["2", "3"])
+@pytest.mark.parametrize("drive", [(), (LATE,), DC_MOTOR, STS3215], ids=["ideal", "late", "dc motor", "servo"])
+def test_isaac_labs_file_has_the_names_of_each_version(tmp_path: Path, major: str, drive: tuple[str, ...]) -> None:
+    fitted = draw("mujoco_default", *drive)
+    for physics in ("physx", "newton"):
+        folder = tmp_path / physics
+        folder.mkdir()
+        (file,) = write("isaaclab", fitted, folder, physics=physics).files
+        (config,) = run_with(folder / file, {"isaaclab.actuators": vars(stub_configurations(major))}).ACTUATORS.values()
+        friction = fitted.values["friction"]["frictionloss"]
+        assert config.friction == friction and config.dynamic_friction == (friction if physics == "physx" else None)
+        if drive == DC_MOTOR:
+            named = {name: getattr(config, name, None) for name in LIMITS_OF_VERSIONS["3"] + LIMITS_OF_VERSIONS["2"]}
+            assert {name: value for name, value in named.items() if value is not None} == dict(
+                zip(LIMITS_OF_VERSIONS[major], (8.0, 2.0, 2.0), strict=False)
+            )
+    with pytest.raises(ConfigError, match="physics=mujoco"):
+        write("isaaclab", fitted, tmp_path, physics="mujoco")
+
+
+LIMITS_OF_VERSIONS = {
+    "2": ["velocity_limit", "effort_limit"],
+    "3": ["actuator_velocity_limit", "actuator_effort_limit", "joint_effort_limit"],
+}
+
+
+def test_isaac_labs_file_for_newton_has_the_friction_of_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted = draw("coulomb_stribeck")
+    nearest = Nearest(fitted.values["bench"], np.array([0.02]), np.array([0.03]))
+    monkeypatch.setattr("frictionzoo.export.configclass.find_nearest", lambda _: nearest)
+    (file,) = write("isaaclab", fitted, tmp_path, physics="newton").files
+    (config,) = run_with(tmp_path / file, {"isaaclab.actuators": vars(stub_configurations("3"))}).ACTUATORS.values()
+    assert (config.friction, config.dynamic_friction, config.viscous_friction) == (0.02, None, 0.03)
+
+
+@pytest.mark.skipif(SITES not in os.environ, reason=f"{SITES} names no site-packages with Isaac Lab")
+def test_recorded_names_of_isaac_lab_are_those_of_the_package() -> None:
+    for site in os.environ[SITES].split(os.pathsep):
+        major, signatures = read_signatures(Path(site))
+        assert signatures == load_recorded()[major]
+
+
 READERS = {"mjlab": Mjlab().read, "isaaclab": IsaacLab().read}
 CONFIGURED = [
     ("mjlab", "BuiltinPositionActuatorCfg", (LATE,)),

@@ -31,7 +31,8 @@ from frictionzoo.export.base import Written, get_target, target_names
 from frictionzoo.export.bench import write_bench
 from frictionzoo.export.mjcf import Mjcf
 from frictionzoo.export.module import load_module, write_module
-from frictionzoo.export.mujoco_c import MujocoC, run_native, write_native
+from frictionzoo.export.motor import motors, read_inputs
+from frictionzoo.export.mujoco_c import MujocoC, list_bristles, run_native, write_native
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.sdf import Sdf
 from frictionzoo.export.simulate import run_loaded
@@ -331,6 +332,26 @@ def test_a_drive_of_bristles_comes_back_from_mujocos_own(law, tmp_path):
     again = write_native(back)
     np.testing.assert_allclose(run_native(again, back), run_native(text, fitted), rtol=0, atol=1e-13)
     np.testing.assert_allclose(back.rollout()[0], fitted.rollout()[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["lugre", "dahl"])
+def test_mjlab_gets_the_bristles_in_a_motor(law, tmp_path):
+    fitted = make_fitted(law)
+    export = get_target("mjlab")().write(fitted, tmp_path, {})
+    tree = ast.parse((tmp_path / "mjlab_actuators.py").read_text())
+    (outer,) = [node.value for node in tree.body if isinstance(node, ast.Assign)]
+    (call,) = outer.elts
+    (physical,) = [k.value for k in call.keywords if isinstance(k.value, ast.Call)]
+    of = {k.arg: ast.literal_eval(k.value) for k in call.keywords if not isinstance(k.value, ast.Call)}
+    constants = {k.arg: ast.literal_eval(k.value) for k in physical.keywords}
+    assert [list(of["lugre"])] == list_bristles(fitted) and of["armature"] == fitted.values["bench"]["armature"]
+    (motor,) = motors(fitted, read_inputs(fitted, {}))
+    for ctrl, qpos, qvel in np.random.default_rng(0).uniform(-3, 3, size=(50, 3)):  # MuJoCo 3.11's dcmotor
+        volts = of["stiffness"] * (ctrl - qpos) - of["damping"] * qvel
+        volts = np.clip(volts, -of["voltage_limit"], of["voltage_limit"])
+        torque = constants["kt"] * (volts - constants["ke"] * qvel) / constants["resistance"]
+        assert torque == pytest.approx(motor.torque(ctrl, qpos, qvel), abs=1e-7)
+    assert export.differences[0].largest < 0.01  # rad; bristles begin without load
 
 
 @pytest.mark.parametrize("target", ["onnx", "torchscript"])

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ import pytest
 import torch
 from conftest import Finished, changed
 from helpers.fitted import fit as fit_robot
+from helpers.isaaclab import load_recorded
 from helpers.robot_texts import LEG, save
 
 import frictionzoo as fz
@@ -373,62 +375,95 @@ def test_events_of_mjlab_give_each_world_one_draw(tmp_path: Path) -> None:
         term.func(env, None)
 
 
+class Wrapped:
+    """An array of Isaac Lab 3."""
+
+    def __init__(self, values: torch.Tensor) -> None:
+        self.torch = values
+
+
+class Actuator(SimpleNamespace):
+    """What the file uses of an actuator of Isaac Lab."""
+
+
 class Articulation(SimpleNamespace):
-    """What the file uses of an articulation of Isaac Lab 2.3."""
+    """What the file uses of an articulation of Isaac Lab 2, or of 3 with PhysX or Newton, with the real signatures."""
 
-    def __init__(self) -> None:
+    def __init__(self, kind: str) -> None:
         zero = {name: torch.zeros(WORLDS, 3) for name in ("armature", "static", "dynamic", "viscous", "kp", "kd")}
-        implicit = SimpleNamespace(joint_indices=slice(None), stiffness=zero["kp"], damping=zero["kd"])
+        implicit = Actuator(stiffness=zero["kp"], damping=zero["kd"])
         of = {"friction": 0.3, "dynamic_friction": 0.2, "viscous_friction": 0.1}
-        data = {f"default_joint_{name}_coeff": torch.full((WORLDS, 3), value) for name, value in of.items()}
-        super().__init__(
-            num_joints=3, device="cpu", written=zero, actuators={"all": implicit}, data=SimpleNamespace(**data)
-        )
+        if kind == "newton":
+            del of["dynamic_friction"]
+        made = {f"joint_{name}_coeff": torch.full((WORLDS, 3), value) for name, value in of.items()}
+        data = {name: values if kind == "2" else Wrapped(values) for name, values in made.items()}
+        cfg = SimpleNamespace(actuators={"all": SimpleNamespace(joint_names_expr=[".*"])})
+        more = {"cfg": cfg, "actuators": {"all": implicit}, "data": SimpleNamespace(**data)}
+        super().__init__(num_joints=3, device="cpu", written=zero, **more)
+        for name, arguments in ISAAC_LABS[kind].items():
+            setattr(self, name, partial(self.write, arguments))
 
-    def find_joints(self, pattern: str) -> tuple[list[int], list[str]]:
-        return find_joints(pattern)
+    def find_joints(self, patterns: Any) -> tuple[list[int], list[str]]:
+        return find_joints("|".join([patterns] if isinstance(patterns, str) else patterns))
 
-    def write_joint_armature_to_sim(self, armature, joint_ids, env_ids) -> None:
-        self.written["armature"][env_ids[:, None], joint_ids] = armature
-
-    def write_joint_friction_coefficient_to_sim(
-        self,
-        joint_friction_coeff,
-        joint_dynamic_friction_coeff=None,
-        joint_viscous_friction_coeff=None,
-        joint_ids: Any = None,
-        env_ids: Any = None,
-    ) -> None:
-        given = joint_friction_coeff, joint_dynamic_friction_coeff, joint_viscous_friction_coeff
-        for name, values in zip(("static", "dynamic", "viscous"), given, strict=True):
-            self.written[name][env_ids[:, None], joint_ids] = values
+    def write(self, names: list[str], *, joint_ids: torch.Tensor, env_ids: torch.Tensor, **given: Any) -> None:
+        assert {*given, "joint_ids", "env_ids"} <= {*names}
+        for name, values in given.items():
+            if values is not None:
+                assert values.shape == (len(env_ids), len(joint_ids)) and values.is_contiguous()
+                self.written[WRITTEN[name]][env_ids[:, None], joint_ids] = values
 
 
-def test_events_of_isaac_lab_give_each_world_one_draw(tmp_path: Path) -> None:
-    mdp = SimpleNamespace(randomize_joint_parameters="joints", randomize_actuator_gains="gains")
-    program = modules(
+WRITTEN = {
+    "armature": "armature",
+    "joint_friction_coeff": "static",
+    "joint_dynamic_friction_coeff": "dynamic",
+    "joint_viscous_friction_coeff": "viscous",
+    "stiffness": "kp",
+    "damping": "kd",
+}
+RECORDED = load_recorded()
+ISAAC_LABS = {"2": RECORDED["2"]["writers"]["physx"], **RECORDED["3"]["writers"]}
+
+
+def isaac_lab() -> dict[str, ModuleType]:
+    mdp = SimpleNamespace(**{name: name for name in RECORDED["3"]["events"]})
+    base = type("ManagerTermBase", (), {"__init__": lambda self, cfg, env: None})
+    return modules(
         isaaclab__envs={"mdp": mdp},
-        isaaclab__actuators={"ImplicitActuator": type("ImplicitActuator", (), {})},
-        isaaclab__managers={"EventTermCfg": Term, "SceneEntityCfg": Entity},
+        isaaclab__actuators={"ActuatorBase": Actuator, "ImplicitActuator": type("ImplicitActuator", (Actuator,), {})},
+        isaaclab__managers={"EventTermCfg": Term, "ManagerTermBase": base, "SceneEntityCfg": Entity},
     )
-    events = load_events(ISAAC_LAB, tmp_path, "scale", program)
-    asset = Articulation()
+
+
+@pytest.mark.parametrize("kind", ISAAC_LABS)
+def test_events_of_isaac_lab_give_each_world_one_draw(tmp_path: Path, kind: str) -> None:
+    events = load_events(ISAAC_LAB, tmp_path, "scale", isaac_lab())
+    asset = Articulation(kind)
     env: Any = SimpleNamespace(scene=type("Scene", (dict,), {"num_envs": WORLDS})(robot=asset))
+    moving = "static" if kind == "newton" else "dynamic"
+    friction = events.RANGES["friction_hip"]
+    drawn = friction.func(friction, env)  # the managers make the terms that are classes
     (term,) = events.DRAWS.values()
     term.func(env, None, **term.params)
-    kinds = ("armature", "dynamic", "viscous", "kp", "kd")
-    named = zip((name for name, *_ in TWO), kinds, strict=True)
-    assert_rows(*((name, asset.written[kind][:, 1:]) for name, kind in named))
-    np.testing.assert_array_equal(asset.written["static"], asset.written["dynamic"])
-    friction = events.RANGES["friction_hip"]
+    named = zip((name for name, *_ in TWO), ("armature", moving, "viscous", "kp", "kd"), strict=True)
+    assert_rows(*((name, asset.written[quantity][:, 1:]) for name, quantity in named))
+    if kind == "newton":  # one dry friction
+        assert not asset.written["dynamic"].any()
+    else:
+        np.testing.assert_array_equal(asset.written["static"], asset.written["dynamic"])
     friction.params["asset_cfg"].joint_ids = [1]
-    friction.func(env, None, **friction.params)  # shares of what the articulation was made with
-    low, high = asset.written["dynamic"][:, 1].min(), asset.written["dynamic"][:, 1].max()
-    assert 0.1 <= low < 0.11 and 0.29 < high <= 0.3
+    drawn(env, slice(None), **friction.params)  # shares of what the articulation was made with
+    low, high = asset.written[moving][:, 1].min(), asset.written[moving][:, 1].max()
+    share = 1.5 if kind == "newton" else 1.0  # 0.3 in place of 0.2
+    assert 0.1 * share <= low < 0.11 * share and 0.29 * share < high <= 0.3 * share
     np.testing.assert_allclose(asset.written["viscous"][:, 1], 0.1, rtol=1e-6)
     assert events.RANGES["armature_knee"].params["armature_distribution_params"] == (0.666667, 1.66667)
     gains = events.RANGES["gains_knee"].params
     assert (gains["stiffness_distribution_params"], gains["damping_distribution_params"]) == ((0.75, 1.25), (1, 1))
+    for term in events.RANGES.values():
+        if isinstance(term.func, str):  # Isaac Lab's own
+            assert all({*term.params} <= {*of["events"][term.func]} for of in RECORDED.values())
     assert events.DELAYS == {"knee": {"min_delay": 2, "max_delay": 4}}
 
 

@@ -2,10 +2,10 @@
 
 Isaac Lab's actuator classes, configured by the exported file, compute the torque in each step. MuJoCo simulates the
 bench's links with the file's armature, `dynamic_friction` and `viscous_friction`. It has no counterpart of `friction`,
-which holds a joint at rest.
+which holds a joint at rest in PhysX; a file for Newton has this alone, and MuJoCo takes it.
 
-`isaaclab.utils.assets` requests a file server from Isaac Sim on import. An empty module replaces it; only network
-actuators would call it, and nothing here does.
+In Isaac Lab 2, `isaaclab.utils.assets` requests a file server from Isaac Sim on import. An empty module replaces it;
+only network actuators would call it, and nothing here does.
 """
 
 import sys
@@ -21,9 +21,10 @@ from given import Given, load_module, read_given
 
 def main() -> None:
     """Simulate the rollouts of each payload together, one actuator environment per rollout."""
-    given, _ = read_given(__doc__)
-    find_isaaclab()
-    configs = load_module(given.folder / "isaaclab" / "isaaclab_actuators.py").ACTUATORS
+    given, options = read_given(__doc__, lambda parser: parser.add_argument("--target", default="isaaclab"))
+    if version("isaaclab").startswith("2."):
+        find_isaaclab()
+    configs = load_module(given.folder / options.target / "isaaclab_actuators.py").ACTUATORS
     found = np.empty((len(given.qpos), given.steps, len(given.joints)))
     for rollouts in given.alike():
         found[rollouts] = roll(given, configs, rollouts)
@@ -82,9 +83,10 @@ def compile_joints(given: Given, actuators: list[Any], rollout: int) -> mujoco.M
         values[:] = np.nan  # each joint gets its actuator's values below
     for actuator in actuators:
         joints = actuator.joint_indices.numpy()
-        model.dof_armature[joints] = actuator.armature[0]
-        model.dof_frictionloss[joints] = actuator.dynamic_friction[0]
-        model.dof_damping[joints] = actuator.viscous_friction[0]
+        config = actuator.cfg
+        model.dof_armature[joints] = config.armature
+        model.dof_frictionloss[joints] = config.friction if config.dynamic_friction is None else config.dynamic_friction
+        model.dof_damping[joints] = config.viscous_friction
     return model
 
 
@@ -95,13 +97,14 @@ def find_lags(given: Given, actuator: Any) -> np.ndarray:
 
 
 def compute(actuator: Any, targets: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """Return an actuator's torque, clipped to its limit for the simulated joint."""
+    """Return an actuator's torque, clipped to the simulated joint's limit, which Isaac Lab 2 has not by default."""
     from isaaclab.utils.types import ArticulationActions
 
     none = torch.zeros(targets.shape)
     wanted = ArticulationActions(as_tensor(targets), none, none, actuator.joint_indices)
     efforts = actuator.compute(wanted, as_tensor(qpos), as_tensor(qvel)).joint_efforts
-    return torch.clip(efforts, -actuator.effort_limit_sim, actuator.effort_limit_sim).numpy()
+    limit = getattr(actuator.cfg, "joint_effort_limit", None) or np.inf
+    return np.clip(efforts.numpy(), -limit, limit)
 
 
 def as_tensor(values: np.ndarray) -> torch.Tensor:

@@ -15,11 +15,12 @@ from mjlab.sim import MujocoCfg, Simulation, SimulationCfg
 def main() -> None:
     """Simulate the rollouts of each payload together, one world per rollout."""
     given, _ = read_given(__doc__)
-    actuators = load_module(given.folder / "mjlab" / "mjlab_actuators.py").ACTUATORS
+    module: Any = load_module(given.folder / "mjlab" / "mjlab_actuators.py")
     found = np.empty((len(given.qpos), given.steps, len(given.joints)))
     for rollouts in given.alike():
-        found[rollouts] = roll(given, actuators, strip(given.bench("mjcf", rollouts[0])), rollouts)
-    given.write(given.sampled(found), "mjlab", "mujoco-warp")
+        found[rollouts] = roll(given, module, strip(given.bench("mjcf", rollouts[0])), rollouts)
+    packages = ("better-actuator-models",) if hasattr(module, "EVENTS") else ()
+    given.write(given.sampled(found), "mjlab", *packages, "mujoco-warp")
 
 
 def strip(text: str) -> str:
@@ -33,11 +34,12 @@ def strip(text: str) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def roll(given: Given, actuators: Any, text: str, rollouts: np.ndarray) -> np.ndarray:
+def roll(given: Given, module: Any, text: str, rollouts: np.ndarray) -> np.ndarray:
     """Return the positions after each simulation step of these rollouts."""
     option = mujoco.MjModel.from_xml_string(text).opt
     robot = EntityCfg(
-        spec_fn=lambda: mujoco.MjSpec.from_string(text), articulation=EntityArticulationInfoCfg(actuators=actuators)
+        spec_fn=lambda: mujoco.MjSpec.from_string(text),
+        articulation=EntityArticulationInfoCfg(actuators=module.ACTUATORS),
     )
     scene = Scene(SceneCfg(num_envs=len(rollouts), env_spacing=0.0, entities={"robot": robot}), device="cpu")
     config = MujocoCfg(
@@ -49,6 +51,8 @@ def roll(given: Given, actuators: Any, text: str, rollouts: np.ndarray) -> np.nd
     )
     sim = Simulation(len(rollouts), SimulationCfg(mujoco=config), scene.compile(), device="cpu")
     scene.initialize(sim.mj_model, sim.model, sim.data)
+    if hasattr(module, "EVENTS"):  # of BAM, which writes the friction of each world; an environment's manager does this
+        sim.expand_model_fields(("dof_frictionloss", "dof_damping"))
     entity = scene["robot"]
     joints, _ = entity.find_joints(given.joints, preserve_order=True)
 

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import nnls
 
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
@@ -19,6 +20,7 @@ from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import Deviation, Export, Target, measure, register_target
 from frictionzoo.export.graph import compare
+from frictionzoo.export.motor import lag
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.export.simulate import Step, simulate, step_with_control
 from frictionzoo.models.base import sliding_torque
@@ -27,7 +29,7 @@ from frictionzoo.result.fitted_drive import FittedDrive
 _LONGEST = 200  # characters of a file name
 _AT_ONCE = 1e3  # faster than any command [rad/s]: otherwise BAM's STS3215 follows commands at its default speed
 _INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
-_KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
+KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
 _VISCOUS = {"friction_viscous": "viscous_coefficient"}
 _SMOOTH: Mapping[str, tuple[str, Mapping[str, str]]] = {
     "coulomb_smooth": ("m1", {"friction_base": "static_torque", **_VISCOUS}),
@@ -54,23 +56,33 @@ class Bam(Target):
             actual = f"the bench's actuator is a {type(fitted.bench.actuator).__name__}"
             raise ExportError(f"target=bam: {actual}, expected a VoltageServo; write target=mjcf")
         actuator, actuator_remarks = _choose_actuator(fitted, options)
-        laws, law_remarks, lacks = _to_bam(fitted)
+        laws, law_remarks, lacks = to_bam(fitted)
         if fitted.values["bench"]["duty_limit"][0] != DUTY[actuator][1]:
             lacks.append(f"duty cycles end at {DUTY[actuator][1]:g}")
-        # A joint's name may contain "/", a file name may not.
-        prefixes = [f"{quote(name, safe='')}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
-        files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
-        if too_long := [file for file in files if len(file) > _LONGEST]:
-            raise ExportError(
-                f"target=bam: {too_long[0][:40]}... as name of a file, expected shorter names of joints; rename it"
-            )
-        for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
-            # BAM's controllers replace the robot's damping.
-            law["friction_viscous"] += float(fitted.bench.own_damping[joint])
-            parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
-            write_atomically(folder / file, (json.dumps(parameters, indent=4) + "\n").encode())
-        limits = (*law_remarks, *actuator_remarks, _KT, _INPUTS)
-        return Export(files, _compare(fitted, [folder / file for file in files], ", ".join(lacks)), limits)
+        files = write_parameters(fitted, folder, laws, actuator)
+        limits = (*law_remarks, *actuator_remarks, KT, _INPUTS)
+        return Export(files, compare_files(fitted, [folder / file for file in files], ", ".join(lacks)), limits)
+
+
+def write_parameters(
+    fitted: FittedDrive, folder: Path, laws: Sequence[Mapping[str, Any]], actuator: str
+) -> tuple[str, ...]:
+    """Write the parameter file of each joint, with BAM's parameters of its friction; return the names.
+
+    Raises:
+        ExportError: A joint's name is too long for a file's.
+    """
+    # A joint's name may contain "/", a file name may not.
+    prefixes = [f"{quote(name, safe='')}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
+    files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
+    if too_long := [file for file in files if len(file) > _LONGEST]:
+        raise ExportError(f"{too_long[0][:40]}... as name of a file, expected shorter names of joints; rename it")
+    for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
+        # BAM's controllers replace the robot's damping.
+        viscous = law["friction_viscous"] + float(fitted.bench.own_damping[joint])
+        parameters = {**_motor(fitted, joint, actuator), **law, "friction_viscous": viscous, "actuator": actuator}
+        write_atomically(folder / file, (json.dumps(parameters, indent=4) + "\n").encode())
+    return files
 
 
 def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
@@ -97,7 +109,14 @@ def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> Frictio
     return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), values["friction_viscous"]))
 
 
-def _to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str], list[str]]:
+def holds_exactly(fitted: FittedDrive) -> bool:
+    """Return whether the drive is a voltage servo with BAM's own friction in all joints, and not MuJoCo's alone."""
+    names = {fitted.model.of_joint(joint)[0].name for joint in range(fitted.bench.nv)}
+    exact = {name for name, _ in LAWS.values()}
+    return isinstance(fitted.bench.actuator, VoltageServo) and names <= exact and names != {LAWS["m1"][0]}
+
+
+def to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str], list[str]]:
     """Return BAM's parameters of each joint, remarks, and in a few words each why BAM moves differently."""
     laws = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
     names = [fitted.model.of_joint(joint)[0].name for joint in range(fitted.bench.nv)]
@@ -176,15 +195,26 @@ def _choose_actuator(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[s
     return chosen, remarks
 
 
-def _compare(fitted: FittedDrive, paths: list[Path], reason: str) -> tuple[Deviation, ...]:
-    """Compare friction at the recorded states, and rollouts in MuJoCo C; `reason` explains the difference."""
+def compare_files(
+    fitted: FittedDrive, paths: Sequence[Path], reason: str, inputs: Mapping[str, Float[np.ndarray, "nv"]] | None = None
+) -> tuple[Deviation, ...]:
+    """Compare friction at the recorded states, and rollouts in MuJoCo C; `reason` explains the difference.
+
+    With `inputs`, those of the servos are constant, delays are whole steps, and the torque is at most that at
+    standstill, as in BAM's actuator for mjlab.
+    """
     files = [load_parameters(path) for path in paths]
     bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]
     stacked = {name: np.array([values[name] for values in bench]) for name in bench[0]}
+    if inputs is not None:
+        stacked["delay"] = np.array([lag(fitted, joint) * fitted.timestep for joint in range(fitted.bench.nv)])
     written = replace(fitted, values={"bench": stacked, "friction": fitted.values["friction"]})
     values, ones = {name: value for name, value in stacked.items() if name != "delay"}, np.ones(written.bench.nv)
     model = mujoco.MjModel.from_xml_string(written.bench.mjcf(values, ones, ones))  # each step sets the friction
-    qpos = simulate(model, written, _step(written, files))
+    if inputs is not None:
+        stall = inputs["supply"] * stacked["kt_over_r"]
+        model.actuator_forcelimited[:], model.actuator_forcerange[:] = 1, np.stack([-stall, stall], axis=1)
+    qpos = simulate(model, written, _step(written, files, inputs))
     terms = _budgets(files, fitted.samples)
     return (
         compare(fitted, terms._replace(damping=terms.damping - fitted.bench.own_damping), "BAM's formula"),
@@ -199,7 +229,9 @@ def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
     return FrictionTerms(frictionloss=loss, damping=damping)
 
 
-def _step(written: FittedDrive, files: list[dict[str, Any]]) -> Step:
+def _step(
+    written: FittedDrive, files: list[dict[str, Any]], inputs: Mapping[str, Float[np.ndarray, "nv"]] | None
+) -> Step:
     """Return a step of BAM's MuJoCo controller: MuJoCo's friction constraint, set from the state before the step."""
     advance = step_with_control(written)
 
@@ -207,6 +239,6 @@ def _step(written: FittedDrive, files: list[dict[str, Any]]) -> Step:
         external = data.qfrc_passive + model.dof_damping * data.qvel - data.qfrc_bias
         terms = _budgets(files, DriveState(data.qpos, data.qvel, data.qpos, data.qfrc_actuator, external))
         model.dof_frictionloss[:], model.dof_damping[:] = terms.frictionloss, terms.damping
-        advance(model, data, signals)
+        advance(model, data, signals if inputs is None else signals._replace(inputs=inputs))
 
     return step

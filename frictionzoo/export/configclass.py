@@ -34,6 +34,8 @@ class ConfigFile(Target):
         keyed: Whether `ACTUATORS` is a dict by joint instead of a tuple.
         keywords: Property by keyword, see `_list_properties`; infinite limits and delays of 0 are left out.
         late_dc: Whether the class with a torque-speed line has a delay.
+        apart: Keywords that are arguments of `helper`, whose result the class unpacks.
+        helper: Imports and a function `limits` for the file; empty without `apart`.
     """
 
     options: ClassVar[Mapping[str, str]] = INPUTS
@@ -46,55 +48,78 @@ class ConfigFile(Target):
     keyed: ClassVar[bool]
     keywords: ClassVar[Mapping[str, str]]
     late_dc: ClassVar[bool] = True
+    apart: ClassVar[tuple[str, ...]] = ()
+    helper: ClassVar[str] = ""
 
     @abstractmethod
-    def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
+    def say_more(self, fitted: FittedDrive, drives: list[Motor], options: Mapping[str, str]) -> tuple[str, ...]:
         """List further limits of this simulator."""
+
+    def choose_keywords(self, options: Mapping[str, str]) -> Mapping[str, str]:
+        """Return `keywords` for these options of the target."""
+        return self.keywords
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         inputs = read_inputs(fitted, options)
+        keywords = self.choose_keywords(options)
         drives, nearest = motors(fitted, inputs), find_nearest(fitted)
-        calls = [self._configure(fitted, nearest, joint, drive) for joint, drive in enumerate(drives)]
-        imports = f"from {self.module} import {', '.join(sorted({call.partition('(')[0] for call in calls}))}"
+        calls = [self._configure(keywords, fitted, nearest, joint, drive) for joint, drive in enumerate(drives)]
+        classes = {call.partition("(")[0] for call in calls}
         keys = [f"{write_literal(name)}: " if self.keyed else "" for name in fitted.bench.joints]
         body = "".join(key + call for key, call in zip(keys, calls, strict=True))
         opening, closing = "{}" if self.keyed else "()"
-        text = f'"""{self.head}"""\n\n{imports}\n\nACTUATORS = {opening}\n{indent(body, "    ")}{closing}\n'
+        preamble = self._import(classes, "**limits(" in body)
+        text = f'"""{self.head}"""\n\n{preamble}\n\nACTUATORS = {opening}\n{indent(body, "    ")}{closing}\n'
         (folder / self.file).write_text(text, encoding="utf-8")
         # If the file has no delay, the caller delays the commands.
-        joints = [joint._replace(lag=joint.lag or lag(fitted, i)) for i, joint in enumerate(self.read(text))]
+        read = self.read(text, keywords)
+        joints = [joint._replace(lag=joint.lag or lag(fitted, i)) for i, joint in enumerate(read)]
         difference = measure(
             *("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0]),
             reason=", ".join(list_lacks(fitted, nearest)),
         )
-        limits = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives))
+        limits = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives, options))
         return Export((self.file,), (difference,), limits)
 
-    def _configure(self, fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> str:
+    def _import(self, classes: set[str], with_helper: bool) -> str:
+        """Return the imports of these classes, and the helper if the file uses it."""
+        names = sorted(classes | ({"ActuatorBaseCfg"} if with_helper else set()))
+        imports = f"from {self.module} import {', '.join(names)}"
+        return f"from dataclasses import fields\n\n{imports}\n\n\n{self.helper}\n" if with_helper else imports
+
+    def _configure(
+        self, keywords: Mapping[str, str], fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor
+    ) -> str:
         properties, has_line = _list_properties(fitted, nearest, joint, motor), np.isfinite(motor.saturation_effort)
         if has_line and not self.late_dc:
             properties["delay"] = 0, ""
         late = bool(properties["delay"][0])
         names = [match_joint(fitted.bench.joints[joint])]
         properties["joint"] = names if self.keyed else tuple(names), ""
-        lines = [f"{self.classes[2 if has_line else late]}("]
-        for keyword, name in self.keywords.items():
+        lines, apart = [f"{self.classes[2 if has_line else late]}("], list[str]()
+        for keyword, name in keywords.items():
             value, unit = properties[name]
             if (late or name != "delay") and (name not in LIMITS or np.isfinite(value)):
-                lines.append(f"    {keyword}={write_literal(value)}," + (f"  # {unit}" if unit else ""))
+                line = f"    {keyword}={write_literal(value)}," + (f"  # {unit}" if unit else "")
+                (apart if keyword in self.apart else lines).append(line)
+        if apart:
+            lines += ["    **limits(", *(f"    {line}" for line in apart), "    ),"]
         return "\n".join([*lines, "),\n"])
 
-    def read(self, text: str) -> list[Joint]:
-        """Read each joint from a written file, without running it."""
+    def read(self, text: str, keywords: Mapping[str, str] | None = None) -> list[Joint]:
+        """Read each joint from a written file, without running it; `keywords` if not those of the class."""
         (value,) = (node.value for node in ast.parse(text).body if isinstance(node, ast.Assign))
         calls = value.values if isinstance(value, ast.Dict) else getattr(value, "elts", [])
-        return [self._read_call(call) for call in calls if isinstance(call, ast.Call)]
+        return [_read_call(call, keywords or self.keywords) for call in calls if isinstance(call, ast.Call)]
 
-    def _read_call(self, call: ast.Call) -> Joint:
-        of = {self.keywords[str(keyword.arg)]: ast.literal_eval(keyword.value) for keyword in call.keywords}
-        motor = Motor(**{name: of[name] for name in MOTOR if name in of})
-        return Joint(motor, of["armature"], of["frictionloss"], of["viscous_damping"], of.get("delay", 0))
+
+def _read_call(call: ast.Call, keywords: Mapping[str, str]) -> Joint:
+    unpacked = [keyword.value for keyword in call.keywords if keyword.arg is None]
+    arguments = [*call.keywords, *(inner for one in unpacked if isinstance(one, ast.Call) for inner in one.keywords)]
+    of = {keywords[one.arg]: ast.literal_eval(one.value) for one in arguments if one.arg is not None}
+    motor = Motor(**{name: of[name] for name in MOTOR if name in of})
+    return Joint(motor, of["armature"], of["frictionloss"], of["viscous_damping"], of.get("delay", 0))
 
 
 def _list_properties(fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> dict[str, tuple[Any, str]]:

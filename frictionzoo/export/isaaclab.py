@@ -1,24 +1,47 @@
 """Target `isaaclab`: Isaac Lab actuator configurations."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 
+from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.export.base import register_target
 from frictionzoo.export.configclass import MOTOR, ConfigFile
-from frictionzoo.export.motor import Motor, lag
+from frictionzoo.export.motor import INPUTS, Motor, lag
 from frictionzoo.result.fitted_drive import FittedDrive
+
+VERSIONS = "2.3 to 3.0"
+"""Oldest and newest version of Isaac Lab with which the written files were tested."""
+PHYSICS = ("physx", "newton")
+_PHYSX = (
+    "With PhysX, friction and dynamic_friction are efforts, as of Isaac Sim 5; before, friction was a coefficient "
+    "without unit, and there was no other.",
+    "PhysX holds a joint at rest up to `friction`, and while it moves `dynamic_friction` acts; the difference is that "
+    "of dynamic_friction alone, in MuJoCo's softer constraint.",
+    "For Isaac Lab 3 on Newton, which has one dry friction and takes `friction` for it, write physics=newton.",
+)
+_NEWTON = (
+    "`friction` is the dry friction of Newton's MuJoCo solver, whose constraint has the robot's solreffriction; with "
+    "PhysX it would be that at rest: write physics=physx.",
+)
 
 
 @register_target("isaaclab")
 class IsaacLab(ConfigFile):
-    """Python file with Isaac Lab's ideal, delayed or DC motor actuator and PhysX's joint friction.
+    """Python file with Isaac Lab's ideal, delayed or DC motor actuator and the joint friction of PhysX or Newton.
 
     `ImplicitActuatorCfg` is not used: PhysX integrates its gains implicitly, which adds a damping of step * stiffness.
 
-    Source: documentation of Isaac Lab 2.3, `isaaclab.actuators`.
+    Source: Isaac Lab 2.3.2 and 3.0.0, `isaaclab.actuators`.
     """
 
+    options: ClassVar[Mapping[str, str]] = {
+        **INPUTS,
+        "physics": "of Isaac Lab: physx, or newton for the one dry friction of Newton; physx where it is left out",
+    }
     program, file, module, keyed = "Isaac Lab", "isaaclab_actuators.py", "isaaclab.actuators", True
-    head = """Actuators of Isaac Lab 2.3 or later on Isaac Sim 5 or later, written by frictionzoo.
+    head = f"""Actuators of Isaac Lab {VERSIONS}, written by frictionzoo.
 
 ArticulationCfg(actuators=ACTUATORS); set joint names to those of your robot, whose
 USD has the limits of torque and velocity that are not here.
@@ -34,15 +57,30 @@ USD has the limits of torque and velocity that are not here.
         "dynamic_friction": "frictionloss",
         "viscous_friction": "viscous_damping",
     }
+    apart = ("velocity_limit", "effort_limit")
+    helper = '''def limits(**values):
+    """Name the limits as this version of Isaac Lab does."""
+    if "actuator_effort_limit" not in {field.name for field in fields(ActuatorBaseCfg)}:
+        return values  # Isaac Lab 2
+    named = {f"actuator_{name}": value for name, value in values.items()}
+    if "effort_limit" in values:  # the solver clips the torque, too, by default at the limit of the USD
+        named["joint_effort_limit"] = values["effort_limit"]
+    return named
+'''
 
-    def say_more(self, fitted: FittedDrive, drives: list[Motor]) -> tuple[str, ...]:
+    def choose_keywords(self, options: Mapping[str, str]) -> Mapping[str, str]:
+        """See `ConfigFile.choose_keywords`."""
+        physics = options.get("physics", PHYSICS[0])
+        if physics not in PHYSICS:
+            raise ConfigError(f"physics={physics}: no such physics; {closest(physics, PHYSICS)}")
+        if physics == PHYSICS[0]:
+            return self.keywords
+        dry = {"friction": "frictionloss", "dynamic_friction": ""}
+        return {keyword: name for keyword, name in {**self.keywords, **dry}.items() if name}
+
+    def say_more(self, fitted: FittedDrive, drives: list[Motor], options: Mapping[str, str]) -> tuple[str, ...]:
         """See `ConfigFile.say_more`."""
-        limits = (
-            "friction and dynamic_friction are efforts, as of Isaac Sim 5; before, friction was a coefficient without "
-            "unit, and there was no other.",
-            "PhysX holds a joint at rest up to `friction`, and while it moves `dynamic_friction` acts; the difference "
-            "is that of dynamic_friction alone, in MuJoCo's softer constraint.",
-        )
+        limits = _NEWTON if options.get("physics") == "newton" else _PHYSX
         steps = max(lag(fitted, joint) for joint in range(fitted.bench.nv))
         if not steps or not np.isfinite(drives[0].saturation_effort):  # DCMotorCfg has no delay
             return limits

@@ -148,16 +148,27 @@ def lag(fitted: FittedDrive, joint: int) -> int:
     return min(round(float(fitted.values["bench"]["delay"][joint]) / fitted.timestep), longest)
 
 
-def run_joints(fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
-    """Simulate the long test rollouts in MuJoCo C with a configuration file's joints and `nearest`'s offset."""
+def run_joints(
+    fitted: FittedDrive, nearest: Nearest, joints: Sequence[Joint], write: Callable[[FittedDrive], str] | None = None
+) -> Float[np.ndarray, "batch time nv"]:
+    """Simulate the long test rollouts in MuJoCo C with a configuration file's joints and `nearest`'s offset.
+
+    `write` gives the bench's MJCF for a drive without delay, if its friction is not MuJoCo's; actuators that it adds
+    stay as they are.
+    """
     has_delay = "delay" in fitted.values["bench"]
     delays = {"delay": np.array([joint.lag * fitted.timestep for joint in joints])} if has_delay else {}
     written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **delays}})
     _, armature, loss, damping, _ = map(np.array, zip(*joints, strict=True))
     bench = {name: value for name, value in nearest.bench.items() if name != "delay"} | {"armature": armature}
-    text = fitted.bench.mjcf(bench, loss if loss.any() else None, damping - fitted.bench.own_damping)
-    model = mujoco.MjModel.from_xml_string(text)
-    model.actuator_gainprm[:, 0], model.actuator_biasprm[:] = 1, 0  # `ctrl` is the torque
+    if write is None:
+        text = fitted.bench.mjcf(bench, loss if loss.any() else None, damping - fitted.bench.own_damping)
+    else:
+        text = write(replace(fitted, values={**fitted.values, "bench": bench}))
+    model, own = mujoco.MjModel.from_xml_string(text), slice(fitted.bench.nv)
+    model.actuator_gainprm[own, 0], model.actuator_biasprm[own] = 1, 0  # `ctrl` is the torque
+    if write is not None:
+        model.actuator_ctrllimited[own] = model.actuator_forcelimited[own] = 0  # the motor's limits are in it
     aims_of = aim(fitted, [joint.motor for joint in joints])
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:

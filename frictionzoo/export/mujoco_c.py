@@ -78,24 +78,30 @@ def write_native(fitted: FittedDrive) -> str:
     model, bench = fitted.model, fitted.bench
     if model.name not in LAWS:
         raise ExportError(f"law=native: MuJoCo has no {model.name}, expected {' or '.join(LAWS)}; leave law out")
-    values = fitted.values["friction"]
-    by_joint = {name: values[name][param.members(bench.nv)] for name, param in model.params.items()}
+    viscous = fitted.values["friction"]["viscous_coefficient"][model.params["viscous_coefficient"].members(bench.nv)]
     remark = f"{model.name}: by MuJoCo's dcmotor, whose act is the bend of the bristles, and damping. {REASON}."
-    root = ET.fromstring(
-        bench.mjcf(fitted.values["bench"], None, by_joint["viscous_coefficient"], (remark,), limited=True)
-    )
+    root = ET.fromstring(bench.mjcf(fitted.values["bench"], None, viscous, (remark,), limited=True))
     section = root.find("actuator")
     assert section is not None
     taken = set(bench.joints)
-    for joint, name in enumerate(bench.joints):
-        numbers = " ".join(map(in_full, _lugre(by_joint, joint)))
+    for name, bristles in zip(bench.joints, list_bristles(fitted), strict=True):
+        numbers = " ".join(map(in_full, bristles))
         actuator = find_free_name(f"{name}_friction", taken)
         ET.SubElement(section, "dcmotor", {"name": actuator, "joint": name, **_NO_WINDING, "lugre": numbers})
     return write_xml(root)
 
 
+def list_bristles(fitted: FittedDrive) -> list[list[float]]:
+    """Return the numbers of a dcmotor's `lugre` for each joint of a drive with one of `LAWS`.
+
+    Bristle stiffness and damping, kinetic and static torque (equal for `dahl`), and Stribeck velocity.
+    """
+    model, values, nv = fitted.model, fitted.values["friction"], fitted.bench.nv
+    by_joint = {name: values[name][param.members(nv)] for name, param in model.params.items()}
+    return [_lugre(by_joint, joint) for joint in range(nv)]
+
+
 def _lugre(values: Mapping[str, Float[np.ndarray, "nv"]], joint: int) -> list[float]:
-    """Return bristle stiffness and damping, kinetic and static torque (equal for `dahl`), and Stribeck velocity."""
     torques = [name if name in values else "coulomb_torque" for name in ("kinetic_torque", "static_torque")]
     numbers = [values[name][joint] if name in values else 0.0 for name in ("stiffness", "micro_damping", *torques)]
     return [*map(float, numbers), float(values["stribeck_velocity"][joint]) if "stribeck_velocity" in values else 1.0]

@@ -13,6 +13,7 @@ from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.templates import Code
 from frictionzoo.core.units import UNITS
+from frictionzoo.export import isaaclab, mjlab
 from frictionzoo.export.base import Deviation, Export, Target, match_joint, measure, read_number, register_target
 from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.configclass import LIMITS
@@ -44,7 +45,7 @@ _ABOUT = (
 class Randomisation(Target):
     """Drives drawn from the identified distribution: samples, MJCF files, and events for mjlab and Isaac Lab.
 
-    Source: mjlab 1.6, `mjlab.envs.mdp.dr`; Isaac Lab 2.3.2, `isaaclab.envs.mdp.events`.
+    Source: mjlab 1.6, `mjlab.envs.mdp.dr`; Isaac Lab 2.3.2 and 3.0.0, `isaaclab.envs.mdp.events`.
     """
 
     options: ClassVar[Mapping[str, str]] = {
@@ -187,14 +188,16 @@ def _say(parameters: Sequence[Quantity], taken: Sequence[Quantity], delays: Mapp
 
 @dataclass(frozen=True)
 class Program:
-    """A simulator with events, and its name of each quantity, in the order of the changes."""
+    """A simulator with events, its supported versions, and its name of each quantity, in the order of the changes."""
 
     file: str
+    versions: str
     fields: Mapping[str, str]
 
 
 MJLAB = Program(
     "mjlab_events.py",
+    mjlab.VERSIONS,
     {
         "joint.armature": "dof_armature",
         "joint.frictionloss": "dof_frictionloss",
@@ -205,6 +208,7 @@ MJLAB = Program(
 )
 ISAAC_LAB = Program(
     "isaaclab_events.py",
+    isaaclab.VERSIONS,
     {
         "joint.armature": "armature",
         "joint.static_friction": "static friction",
@@ -252,6 +256,7 @@ def write_events(
     ]
     return render(
         f"{program.file}.jinja",
+        versions=program.versions,
         about=textwrap.fill(_ABOUT, 110),
         origin={"run": fitted.place, "model": fitted.model.name, "data": fitted.result.data.name},
         joints={name: match_joint(name) for name in joints},
