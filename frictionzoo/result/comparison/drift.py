@@ -264,8 +264,9 @@ def _put_change(row: ParameterDrift, change: Differences, scale: str | float, ve
 
 def _find_failure(now: FittedDrive) -> str:
     """Return why the new identification is of no use; empty if it is."""
-    failed = now.result.not_identified
-    return now.complaint or (f"the drive was not identified: {failed[0]}" if failed else "")
+    failed, missing = now.result.not_identified, now.result.no_intervals
+    why = f"the drive was not identified: {failed[0]}" if failed else f"no intervals: {missing}" if missing else ""
+    return now.complaint or why
 
 
 def _conclude(rows: Sequence[ParameterDrift], untested: Sequence[str], failed: str) -> tuple[Verdict, str]:
