@@ -178,7 +178,7 @@ def judge_drift(
             raise RunError(f"{run.place}: other scales of its parameters than {runs[0].place}; leave it out")
     rows = {label: _describe(runs, now, label) for label in tested}
     if determined := [label for label in tested if label in current]:
-        earlier = Estimates(*np.moveaxis([[table[label] for label in determined] for table in tables], 2, 0))
+        earlier = Estimates(*np.moveaxis(np.array([[table[label] for label in determined] for table in tables]), 2, 0))
         latest = Estimates(*np.transpose([current[label] for label in determined]))
         scales = _get_scales(first, determined)
         found = find_differences(earlier, latest, alarm / len(determined))
