@@ -7,12 +7,14 @@ from typing import Any
 
 from frictionzoo.diagnostics import survey
 from frictionzoo.result import record as result
+from frictionzoo.result.comparison import drift
 from frictionzoo.result.comparison import record as comparison
 
 DOCS = Path(__file__).parent
 SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
     "result": result.read_schema,
     "comparison": comparison.read_schema,
+    "drift": drift.read_schema,
     "inspect": survey.read_schema,
 }
 HEAD = """# `{name}.json`

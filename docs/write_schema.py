@@ -13,10 +13,11 @@ from typing import Any
 import msgspec
 
 from frictionzoo.core.records import Record
+from frictionzoo.result.comparison.drift import Drift
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.types import Result
 
-TYPES = {"result": Result, "comparison": Comparison}  # NAME.schema.json is next to the type's file
+TYPES = {"result": Result, "comparison": Comparison, "drift": Drift}  # NAME.schema.json is next to the type's file
 
 
 def make_schema(name: str) -> dict[str, Any]:

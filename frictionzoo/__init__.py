@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from frictionzoo.api.compared import Compared
     from frictionzoo.api.design import design_recording
+    from frictionzoo.api.drift import drift
     from frictionzoo.api.identified import Identified
     from frictionzoo.api.library import compare, identify, law, load, read
     from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
@@ -51,6 +52,7 @@ __all__ = [
     "check_model",
     "compare",
     "design_recording",
+    "drift",
     "identify",
     "law",
     "load",
@@ -75,6 +77,7 @@ _HOMES = {
     **dict.fromkeys(("Param", "Parameter"), "frictionzoo.core.params"),
     "Split": "frictionzoo.data.split",
     "design_recording": "frictionzoo.api.design",
+    "drift": "frictionzoo.api.drift",
     "check_model": "frictionzoo.models.contract",
     "rollout": "frictionzoo.simulation.differentiable",
     "spread": "frictionzoo.result.comparison.spread",

@@ -203,24 +203,31 @@ def compilation_cache(shared_folder: Path) -> Path:
     return folder
 
 
+def write_recording(path: Path, coulomb: float = 0.1, paces: tuple[float, float] = (1.5, 0.7)) -> Path:
+    """Write what `recording` is, with this dry friction [N m] and these frequencies of the command [Hz]."""
+    samples, timestep = 1500, 1e-3
+    inertia, time = 0.0011 + 0.26 * 0.1127**2 + 0.04, timestep * np.arange(samples)
+    ctrl = 0.6 * np.sin(2 * np.pi * paces[0] * time) + 0.3 * np.sin(2 * np.pi * paces[1] * time)
+    qpos, qvel = np.zeros((2, samples))
+    for i in range(samples - 1):
+        friction = coulomb * np.tanh(qvel[i] / 0.01) + 0.05 * qvel[i]
+        torque = 20 * (ctrl[i] - qpos[i]) - qvel[i] - 0.26 * 9.81 * 0.1127 * np.sin(qpos[i]) - friction
+        qvel[i + 1] = qvel[i] + timestep * torque / inertia
+        qpos[i + 1] = qpos[i] + timestep * qvel[i + 1]
+    table = np.stack([time, qpos, qvel, ctrl], axis=1)
+    np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
+    return path
+
+
 @pytest.fixture(scope="session")
 def recording(shared_folder: Path) -> Path:
     """A CSV recording of 1.5 s at 1 ms: the paper's rod under its controller, with Coulomb and viscous friction."""
-    path, samples, timestep = shared_folder / "recording" / "knee.csv", 1500, 1e-3
+    path = shared_folder / "recording" / "knee.csv"
     with FileLock(shared_folder / "recording.lock"):
         if path.exists():
             return path
-        inertia, time = 0.0011 + 0.26 * 0.1127**2 + 0.04, timestep * np.arange(samples)
-        ctrl = 0.6 * np.sin(2 * np.pi * 1.5 * time) + 0.3 * np.sin(2 * np.pi * 0.7 * time)
-        qpos, qvel = np.zeros((2, samples))
-        for i in range(samples - 1):
-            friction = 0.1 * np.tanh(qvel[i] / 0.01) + 0.05 * qvel[i]
-            torque = 20 * (ctrl[i] - qpos[i]) - qvel[i] - 0.26 * 9.81 * 0.1127 * np.sin(qpos[i]) - friction
-            qvel[i + 1] = qvel[i] + timestep * torque / inertia
-            qpos[i + 1] = qpos[i] + timestep * qvel[i + 1]
         path.parent.mkdir()
-        table = np.stack([time, qpos, qvel, ctrl], axis=1)
-        np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
+        write_recording(path)
     return path
 
 

@@ -14,8 +14,21 @@ from helpers.benchmarks import QUICKEST
 BENCHMARKS = ROOT / "benchmarks"
 ON_RECORDINGS = ("robot", "branches")
 # Errors, shares, and what needs no compiling; everything else is a time, a size or a count.
-MAY_BE_ZERO = {"difference", "status", "armature_error", "compile", "errors", "warnings", "curve", "asked", "delay"}
-OF_THIS_PROCESS = {"causes", "checkup", "coverage", "excitation", "newcomer", "recipe", "reports", "whole_robot"}
+MAY_BE_ZERO = {
+    *("difference", "status", "armature_error", "compile", "errors", "warnings", "curve", "asked", "delay"),
+    *("change", "changed", "unchanged", "cannot_tell", "found"),
+}
+OF_THIS_PROCESS = {
+    "causes",
+    "checkup",
+    "coverage",
+    "drift",
+    "excitation",
+    "newcomer",
+    "recipe",
+    "reports",
+    "whole_robot",
+}
 """Scripts that change no setting of JAX and measure no process, and need none to themselves."""
 
 

@@ -244,6 +244,7 @@ LEFT = {
     "test_compare": rf"{FROM}compare multirun/\S+( outputs/\S+ --output comparison)?",
     "test_design": rf"{FROM}design RUN position=1\.5 velocity=4 torque=2",
     "test_distill": rf"{FROM}distill RUN model=(stribeck|mujoco_default output=STUDENT)",
+    "test_drift": rf"{FROM}drift RUN (OTHER_RUN THIRD_RUN )?b\.csv.*",
     "test_docs": r"make docs|mkdocs serve|python docs/draw_landing\.py",
     "test_experiments": r"make cards LICENCE=cc-by-4\.0",
     "test_export_targets": rf"{FROM}export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",

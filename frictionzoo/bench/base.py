@@ -32,8 +32,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "position_offset": {"init": 0.0, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": False},
     "torque_offset": {"init": 0.0, "low": -20.0, "high": 20.0, "scale": 1.0, "identify": False},
 }
-"""Default sections of a bench's parameters: armature of a servo joint [kg m^2], no delay [s], no encoder offset
-[rad or m], no constant torque [N m or N]."""
+"""Default parameter sections: armature of a servo joint [kg m^2], no delay [s], no offsets [rad or m, N m or N]."""
 _MOST = 10_000  # simulation steps per sample, and samples of the longest delay of commands
 _OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # offset of a sensor or cable, phase of a gear
 
@@ -63,8 +62,7 @@ class Bench(Described):
         params: Sections of `armature` and of three optional parameters: `delay` of the commands [s], `position_offset`,
             added to the measured position [rad or m], and `torque_offset`, a constant torque, for example of a cable
             [N m or N]. A number is a known value. `DEFAULTS` completes the sections. An optional parameter known to be
-            0 is dropped. Values, bounds and `identify` may be lists with one entry per joint, or mappings from patterns
-            of joint names.
+            0 is dropped. Values, bounds and `identify` may be lists with one entry per joint, or mappings by pattern.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. With MuJoCo's default,
             (0.02, 1), dry friction is viscous at low speed; a shorter time constant makes sticking stiffer. None is
             the default; so is `auto` until a recipe chooses the value.
@@ -232,16 +230,18 @@ class Bench(Described):
         return other
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
-        """Return the bench with fitted values for a fit of another friction model; only the armature is free.
-
-        A fit would change the other parameters to compensate for errors of the friction model.
-        """
+        """Return the bench with fitted values for a fit of another friction model; only the armature is free."""
+        # A fit would change the other parameters to compensate for errors of the friction model.
         params = {name: replace(param, identify=False) for name, param in self.params.items()}
         free = np.asarray(values["armature"]) > 0  # a joint without a drive may have none
         if len(own := np.asarray(values["armature"])[free].tolist()):
             bounds = min(own) / 100, max(own) * 100, "log"
             params["armature"] = Param("armature", "inertia", own[0], *bounds, tuple(free.tolist()))
-        return self._changed(params=params, _tie=None, _start={n: np.array(value) for n, value in values.items()})
+        return self.begun(values)._changed(params=params, _tie=None)
+
+    def begun(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
+        """Return the bench with fitted values as initial values."""
+        return self._changed(_start={name: np.array(value) for name, value in values.items()})
 
     def observing(self, inputs: Mapping[str, float]) -> "Bench":
         """Return the bench for a friction model with these `inputs` in addition to the state.

@@ -20,6 +20,7 @@ COMMANDS = {
     "export": "export an identified drive to another program",
     "card": "publish an identified drive without its run",
     "distill": "fit a simpler model to an identified drive",
+    "drift": "check with a new recording whether a drive has changed",
     "design": "design the command to record next, within limits",
     "list": "list models, methods, formats and other choices",
 }
@@ -63,6 +64,8 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo export RUN target=mjcf
     frictionzoo card RUN licence=cc-by-4.0
     frictionzoo distill RUN model=stribeck
+  Check with a new recording whether the drive is still the same
+    frictionzoo drift RUN b.csv
   Design the next recording of an identified drive
     frictionzoo design RUN position=1.5 velocity=4 torque=2
 
@@ -80,7 +83,8 @@ options of a run:
   Comments in conf/ explain each option; docs/ has the manual.
 
 exit status: 0 done; 2 refused, or a job failed: one line says why; 3 done,
-but the drive was not identified; 130 and 143 stopped by Ctrl-C and by SIGTERM.
+but the drive was not identified; 4 drift found a change; 130 and 143 stopped
+by Ctrl-C and by SIGTERM.
 """
 _INSPECT = """\
 frictionzoo inspect checks recordings before a fit: clock, gaps, spikes, lag,

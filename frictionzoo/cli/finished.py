@@ -1,7 +1,8 @@
-"""Commands on finished runs: `python -m frictionzoo.NAME`, NAME `card`, `compare`, `design`, `distill` or `export`."""
+"""Commands on finished runs: `python -m frictionzoo.NAME`, with NAME one of `card`, `compare`, `design` and so on."""
 
 import argparse
 import contextlib
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,14 @@ _HELP = {
         """options: model=NAME; output=FOLDER, by default distilled/NAME in the run's folder; and fit options of a run,
         such as fit, model.*, fit.*, segments.*, loop.*, seed. Defaults come from the run, except fit=auto and segments
         as long as the evaluation rollouts.""",
+    ),
+    "drift": (
+        "data.KEY=VALUE",
+        "Check whether a drive is still the same: identify it again from new recordings, with the settings of RUN, and "
+        "compare each parameter. Exit status: 0 unchanged, 4 changed, 3 cannot tell, 2 refused.",
+        """options: data.*, how to read the recordings, by default as in RUN; alarm=0.01, probability of a false alarm,
+        over all parameters together; smallest=0.01, smallest change that counts, as a share; output=FOLDER, for
+        drift.json and the new identification, by default outputs/DATE/TIME_drift.""",
     ),
     "export": (
         "target=NAME",
@@ -106,6 +115,26 @@ def distill(arguments: Sequence[str]) -> None:
         distill(folder, options)
 
 
+def drift(arguments: Sequence[str]) -> None:
+    """Check whether a drive has changed since its runs."""
+    parsed = parse("drift", arguments)
+    with mistakes_in_one_line():
+        from frictionzoo.core.jobs import refuse_unfinished
+        from frictionzoo.core.output import RESULT
+
+        options = read_options([text for text in parsed.paths if "=" in text], "data.sign.ctrl=-1")
+        paths = [Path(text) for text in parsed.paths if "=" not in text]
+        count = next((number for number, path in enumerate(paths) if not (path / RESULT).exists()), len(paths))
+        for run in paths[:1]:
+            refuse_unfinished(run)
+        if count == len(paths):
+            raise ConfigError("no recording, expected RUN and a new recording; name one, as in drift RUN b.csv")
+        from frictionzoo.cli.drift import report_drift
+
+        status = report_drift(paths[:count], list(map(str, paths[count:])), options)
+    sys.exit(status)
+
+
 def export(arguments: Sequence[str]) -> None:
     """Export a run's drive to another program."""
     with _checked("export", arguments, "target=mjcf") as (folder, options):
@@ -138,12 +167,17 @@ def _checked(name: str, arguments: Sequence[str], example: str) -> Iterator[tupl
 def parse(name: str, arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the arguments of a command."""
     option, description, epilog = _HELP[name]
-    usage = "python -m frictionzoo.design [RUN] KEY=VALUE ..." if name == "design" else None
+    usages = {"design": "[RUN] KEY=VALUE ...", "drift": "RUN ... RECORDING ... [KEY=VALUE ...]"}
+    usage = f"python -m frictionzoo.{name} {usages[name]}" if name in usages else None
     parser = Parser(prog=f"python -m frictionzoo.{name}", usage=usage, description=description, epilog=epilog)
     if name == "compare":
         parser.add_argument("folders", metavar="FOLDER", nargs="+", type=Path, help="a run's folder, or a sweep's")
         default = "comparison/ in the given folder, or here if several are given"
         parser.add_argument("--output", metavar="FOLDER", type=Path, help=f"output folder; by default {default}")
+        return parser.parse_args(arguments)
+    if name == "drift":
+        paths = "folders of finished runs of the unchanged drive, then recordings, and options"
+        parser.add_argument("paths", metavar="KEY=VALUE", nargs="+", help=paths)
         return parser.parse_args(arguments)
     if name != "design":
         run = "the folder of a finished run, the teacher" if name == "distill" else "the folder of a finished run"

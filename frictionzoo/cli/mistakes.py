@@ -16,6 +16,8 @@ REFUSED = 2
 """Exit status for a mistake that the user has to correct."""
 NOT_IDENTIFIED = 3
 """Exit status of a fit that finished without identifying the drive; of a sweep, if its recommended run has it."""
+CHANGED = 4
+"""Exit status of a comparison that found a drive changed."""
 NOTHING_KEPT = "nothing is kept; run it again"
 """Advice after a command that ended before it saved anything."""
 

@@ -17,6 +17,10 @@ class LogError(FrictionzooError):
     """Recording that cannot be read or is inconsistent."""
 
 
+class FaultError(LogError):
+    """Recording with a certain fault, found before the fit."""
+
+
 class BenchError(FrictionzooError):
     """MJCF bench that does not fit its description or the recording."""
 

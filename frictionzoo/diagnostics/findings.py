@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.errors import ConfigError, FaultError, closest
 
 CHECKUPS = ("strict", "warn")
 """Treatment of certain faults: `strict` refuses them, `warn` reports them like likely ones."""
@@ -79,7 +79,7 @@ def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Findin
     `findings` begin with the most important one; `count` is the number of recordings.
 
     Raises:
-        LogError: A fault is certain, and `checkup` is `strict`.
+        FaultError: A fault is certain, and `checkup` is `strict`.
         ConfigError: `checkup` is not in `CHECKUPS`.
     """
     if checkup not in CHECKUPS:
@@ -88,7 +88,7 @@ def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Findin
     for finding in findings:
         text = f"{finding.log}: {finding.text}" if finding.log else finding.text
         if finding.certain and checkup == "strict":
-            raise LogError(f"{text}; if the recording is correct, set checkup=warn")
+            raise FaultError(f"{text}; if the recording is correct, set checkup=warn")
         groups.setdefault((finding.title, finding.joint), (replace(finding, text=text), set()))[1].add(finding.log)
     return [
         replace(first, text=f"{first.text} ({len(logs)} of {count} logs)") if count > 1 and first.log else first

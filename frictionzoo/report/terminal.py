@@ -1,4 +1,4 @@
-"""Summary of a run, a comparison or a designed command in plain text, for terminals and log files."""
+"""Summary of a run, a comparison, a drift or a designed command in plain text, for terminals and log files."""
 
 import html
 import re
@@ -9,6 +9,7 @@ from typing import Any
 
 from frictionzoo.core.telling import Rows, align, escape_all, say_percent
 from frictionzoo.report.text import escape_markdown, format_change, format_number, format_share
+from frictionzoo.result.comparison.drift import Drift, say_change
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known
 from frictionzoo.result.section_types import Torque, WrittenModel
@@ -114,6 +115,24 @@ def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: C
         tabulate(_list_runs(comparison)),
         *filter(None, remarks),
     ]
+
+
+def summarise_drift(drift: Drift, folder: Path | None) -> str:
+    """Summarise `drift.json`: each parameter then and now, remarks, and the verdict in the last line."""
+    drift, several = escape_all(drift), len(drift.runs) > 1
+    rows = [("parameter", "joint", "then", *(["spread"] if several else []), "now", "unit", "change", "")]
+    for row in drift.parameters:
+        spread = ["" if row.spread is None else f"{row.spread:.2g}"] if several else []
+        numbers = _format_value(row.then), *spread, "" if row.now is None else _format_value(row.now)
+        rows.append((row.name, row.joint, *numbers, row.unit, say_change(row), row.verdict))
+    remarks = [f"warning: {line}" for line in drift.warnings]
+    if not several:
+        remarks.append("one run: changes between repetitions are not included; give more runs of the unchanged drive")
+    chance = f"intervals hold together with {say_percent(1 - drift.alarm)} probability"
+    counts = f"changes below {say_percent(drift.smallest)} do not count"
+    source = f"{drift.model}, {len(drift.runs)} run{'s' * several}; {chance}; {counts}"
+    files = f"files: {folder}" if folder else ""
+    return "\n\n".join(filter(None, [source, align(rows), "\n".join(remarks), files, f"verdict: {drift.summary}"]))
 
 
 def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:

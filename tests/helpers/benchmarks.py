@@ -18,6 +18,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "newcomer": ("--drives 1 --kinds sticking --more recipe=given loop.progress=false", 1),
     "causes": ("--causes lag --drives 1 --more recipe=given loop.progress=false", 1),
     "coverage": ("--cases rounded load --logs 2", 2),
+    "drift": ("--logs 2 --changes 0 --seconds 4", 1),
     "recipe": ("--cases twin -- data.samples=30000 segments.count=20 segments.length=50 fit.iterations=2", 1),
     "checkup": ("--data twin_clean --good twin_clean --most 1", 22),
     "excitation": ("--starts 1 --iterations 2 --period 2 -- data.samples=24000", 5),
