@@ -44,19 +44,20 @@ from frictionzoo.export.in_place import InPlace
 from frictionzoo.export.module import write_module
 from frictionzoo.export.mujoco_c import write_native
 from frictionzoo.fit.uncertainty import Uncertainty
-from frictionzoo.models import Dahl, MujocoDefault
+from frictionzoo.models import ActuatorNetwork, Dahl, MujocoDefault
 from frictionzoo.report.card import write_card
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.types import ParameterRecord, Result
 from frictionzoo.result.values import list_values
 
 PLAIN = ("plain_one", "plain_two")
-SLOW = ("mjx", "onnx")  # compile for seconds
+SLOW = ("actuator_net", "mjx", "onnx")  # compile for seconds
 TARGETS = target_names()
 OPTIONS = {
     "randomisation": {"ranges": "{bench.armature: [0.8, 1.2], friction.damping: [0.5, 2]}", "count": "3", "files": "1"},
     "bam": {"servo": "xl330"},
 }
+LAWS = {"actuator_net": ActuatorNetwork}  # targets of one model
 EVERYTHING = (
     "/leg/a.b \"\"\" ''' \\ {{ 7 }} {% x %} ${HOME} %s */ --> ---- ]]> </script> <a b='c'> & # $ ^ ( 膝 \U0001f600"
 )
@@ -125,7 +126,7 @@ def make_drive(path: Path, names: Sequence[str], law: Any = MujocoDefault) -> Id
     write_robot(path, names)
     servo = VoltageServo(kt_over_r=0.3, kt2_over_r=0.2, duty_gain=0.01, duty_limit=0.9)
     bench = Robot(str(path), list(names), actuator=servo)
-    model = law(2, dict.fromkeys(law.dimensions, FREE)).double()
+    model = law(2, params=dict.fromkeys(law.dimensions, FREE)).double()
     friction = {name: value.detach().numpy() for name, value in model.state_dict().items()}
     values = {"bench": bench.initial_values() | {"armature": np.array([0.02, 0.03])}, "friction": friction}
     inputs = {name: np.full((1, 20, 2), value) for name, value in (("gain", 16.0), ("supply", 12.0), ("enable", 1.0))}
@@ -154,7 +155,7 @@ def _describe(bench: Any, owner: Any, param: Any, value: Any) -> ParameterRecord
 def write(target: str, folder: Path, names: Sequence[str]) -> Path:
     """The folder of what a target wrote."""
     (place := folder / "written").mkdir()
-    drive = make_drive(folder / "robot.xml", names)
+    drive = make_drive(folder / "robot.xml", names, LAWS.get(target, MujocoDefault))
     export = get_target(target)().write(drive, place, OPTIONS.get(target, {}))
     assert {*export.files} == {str(path.relative_to(place)) for path in _list_files(place)}
     assert not any("\n" in limit or "\r" in limit for limit in export.limits if "\n" not in "".join(names))

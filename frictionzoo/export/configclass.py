@@ -79,7 +79,11 @@ class ConfigFile(Target):
             *("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0]),
             reason=", ".join(list_lacks(fitted, nearest)),
         )
-        limits = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives, options))
+        not_run = (
+            f"{self.program} itself was not run: the difference is that of the numbers in the file, read back, with "
+            "the formula of their class in MuJoCo C."
+        )
+        limits = (not_run, *say_common(fitted, nearest, inputs), *self.say_more(fitted, drives, options))
         return Export((self.file,), (difference,), limits)
 
     def _import(self, classes: set[str], with_helper: bool) -> str:

@@ -1,6 +1,6 @@
 """Position-controlled drives as in robot simulators: gains, torque limits, friction, and a delay in whole steps."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -179,22 +179,27 @@ def run_joints(
     return simulate(model, written, step)
 
 
-def aim(fitted: FittedDrive, drives: Sequence[Motor]) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
-    """Return a function from a drive's signals to desired positions [rad or m] that include all other commands."""
+def aim(
+    fitted: FittedDrive, drives: Sequence[Motor], shifted: bool = True
+) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
+    """Return a function from a drive's signals to desired positions [rad or m] that include all other commands.
+
+    `shifted` if they also include the bench's `torque_offset`.
+    """
     law = fitted.bench.actuator
     combined = isinstance(law, JointPD | RecordedPD)
     gains = {**fitted.values["bench"], **(_constant_gains(fitted) if isinstance(law, RecordedPD) else {})}
-    offset = fitted.values["bench"].get("torque_offset", 0.0)
+    offset = fitted.values["bench"].get("torque_offset", 0.0) if shifted else 0.0
     shift = offset / np.array([drive.stiffness for drive in drives])
     return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if combined else signals.ctrl) + shift
 
 
-def list_lacks(fitted: FittedDrive, nearest: Nearest) -> list[str]:
-    """List in a few words each why a configuration moves differently from the drive."""
+def list_lacks(fitted: FittedDrive, nearest: Nearest, held: Collection[str] = ()) -> list[str]:
+    """List in a few words each why a configuration moves differently from the drive; `held` as in `say_common`."""
     acting, values = fitted.segments.acting.inputs, fitted.values["bench"]
     varied = [name for name in INPUTS if name in acting and np.ptp(acting[name]) > 0]
-    reasons = [nearest.lacks] if nearest.lacks else []
-    if any(lag(fitted, joint) * fitted.timestep != delay for joint, delay in enumerate(values.get("delay", ()))):
+    reasons, delays = [nearest.lacks] if nearest.lacks else [], () if "delay" in held else values.get("delay", ())
+    if any(lag(fitted, joint) * fitted.timestep != delay for joint, delay in enumerate(delays)):
         reasons.append("delays are whole steps")
     reasons += [f"one {' and one '.join(varied)} of several"] if varied else []
     if "enable" in acting and (acting["enable"] != 1).any():
@@ -202,14 +207,12 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest) -> list[str]:
     return reasons + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
 
 
-def say_common(fitted: FittedDrive, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
-    """List the limits common to the configuration files of all simulators; `program` is the simulator's name."""
+def say_common(
+    fitted: FittedDrive, nearest: Nearest, inputs: Mapping[str, float], held: Collection[str] = ()
+) -> list[str]:
+    """List the limits common to the files of all simulators, without those of parameters that a file holds."""
     law, values = fitted.bench.actuator, fitted.values["bench"]
-    limits = [
-        f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
-        "of their class in MuJoCo C.",
-        *([nearest.remark] if nearest.remark else []),
-    ]
+    limits = [nearest.remark] if nearest.remark else []
     commands = ("ctrl_velocity", "ctrl_torque") if isinstance(law, JointPD | RecordedPD) else ()
     if feedforward := [name for name in commands if np.any(fitted.segments.acting.inputs[name])]:
         limits.append(
@@ -221,11 +224,14 @@ def say_common(fitted: FittedDrive, nearest: Nearest, inputs: Mapping[str, float
         limits.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
     if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
+        braking = (
+            " Braking adds back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that"
+        )
         limits.append(
-            f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain. Braking adds "
-            "back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that reason."
+            f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain."
+            + ("" if held else f"{braking} reason.")
         )
     delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values.get("delay", ())))
     words = {**UNITS[fitted.bench.joint_type], "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}
-    said = {name: sentence for name, sentence in _SAID.items() if name in values}
+    said = {name: sentence for name, sentence in _SAID.items() if name in values and name not in held}
     return limits + [sentence.format(list_values(values[name]), **words) for name, sentence in said.items()]

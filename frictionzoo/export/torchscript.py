@@ -27,24 +27,34 @@ class TorchScript(GraphFile):
     packages: ClassVar[tuple[str, ...]] = ("torch",)
     file, runtime = "friction.pt", "torch.jit.load"
     remarks = (
-        "PyTorch calls TorchScript deprecated; simulators still load it. It is not Isaac Lab's actuator network, whose "
-        "inputs are a history of position errors and velocities and whose output is the motor's torque.",
+        "PyTorch calls TorchScript deprecated; simulators still load it. It is not Isaac Lab's actuator network: "
+        "target=actuator_net writes that.",
     )
 
     def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: FittedDrive) -> bytes:
         """See `GraphFile.serialise`."""
-        buffer = io.BytesIO()
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
-            traced = torch.jit.trace(graph, tuple(inputs.values()))
-            torch.jit.save(traced, buffer, _extra_files={FACTS: json.dumps(list_facts(fitted), indent=2)})
-        return _without_traces(buffer.getvalue())
+        return to_script(graph, inputs, list_facts(fitted))
 
     def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
         """See `GraphFile.run`."""
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
-            return tuple(map(np.asarray, torch.jit.load(path)(**inputs)))
+        return tuple(map(np.asarray, load_script(path)(**inputs)))
+
+
+def to_script(module: torch.nn.Module, inputs: Mapping[str, torch.Tensor], facts: Mapping[str, str]) -> bytes:
+    """Return a module as TorchScript, traced with these inputs, with `facts` in the archive."""
+    buffer = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
+        traced = torch.jit.trace(module, tuple(inputs.values()))
+        torch.jit.save(traced, buffer, _extra_files={FACTS: json.dumps(dict(facts), indent=2)})
+    return _without_traces(buffer.getvalue())
+
+
+def load_script(path: Path) -> torch.jit.ScriptModule:
+    """Load a TorchScript file."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
+        return torch.jit.load(path)
 
 
 def _without_traces(content: bytes) -> bytes:

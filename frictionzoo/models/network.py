@@ -19,13 +19,14 @@ SPAN = 5.0  # standard deviations of the training data at which inputs are clipp
 
 
 class NetworkModel(FrictionModel):
-    """Model with a multilayer perceptron of four signals of the drive, with ReLU between its linear layers.
+    """Model with a multilayer perceptron of signals of the drive, with ReLU between its linear layers.
 
     The joints share the weights, and each joint is evaluated alone. The normalisation is saved with the weights, so a
     saved model is complete.
 
     Attributes:
         columns: Number of network inputs per joint.
+        count: Number of signals.
         input_mean: Mean of each signal in the training data.
         input_std: Standard deviation of each signal in the training data; 1 for a constant signal.
         torque_scale: Standard deviation of the actuator torque in the training data [N m or N]; 1 if it is constant.
@@ -40,7 +41,8 @@ class NetworkModel(FrictionModel):
     """
 
     sees = ("speed", "slow", "fast", "direction", "load", "position")
-    columns: ClassVar[int] = INPUTS
+    columns: int = INPUTS
+    count: ClassVar[int] = INPUTS
     input_mean: torch.Tensor
     input_std: torch.Tensor
     torque_scale: torch.Tensor
@@ -60,8 +62,8 @@ class NetworkModel(FrictionModel):
             for weights in self.layers[-1].parameters():
                 # Start near zero, but not at zero, where the other layers have no gradient.
                 weights.copy_(0.01 * weights)
-        self.register_buffer("input_mean", torch.zeros(INPUTS, dtype=torch.float64))
-        self.register_buffer("input_std", torch.ones(INPUTS, dtype=torch.float64))
+        self.register_buffer("input_mean", torch.zeros(self.count, dtype=torch.float64))
+        self.register_buffer("input_std", torch.ones(self.count, dtype=torch.float64))
         self.register_buffer("torque_scale", torch.ones((), dtype=torch.float64))
 
     def signals(self, state: DriveState) -> list[Any]:
@@ -107,7 +109,7 @@ class GearNetwork(NetworkModel):
     NeurIPS 2020.
     """
 
-    columns: ClassVar[int] = INPUTS + 2 * len(OCTAVES)
+    columns: int = INPUTS + 2 * len(OCTAVES)
 
     def signals(self, state: DriveState) -> list[Any]:
         """See `NetworkModel.signals`."""
