@@ -12,7 +12,18 @@ import numpy as np
 from frictionzoo.core.templates import write_literal
 from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Export, Target, match_joint, measure
-from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, list_lacks, motors, read_inputs, run_joints, say_common
+from frictionzoo.export.motor import (
+    INPUTS,
+    Joint,
+    Motor,
+    lag,
+    list_lacks,
+    motors,
+    read_inputs,
+    run_joints,
+    say_common,
+    say_not_run,
+)
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.export.variants import at_rest
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -79,11 +90,8 @@ class ConfigFile(Target):
             *("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0]),
             reason=", ".join(list_lacks(fitted, nearest)),
         )
-        not_run = (
-            f"{self.program} itself was not run: the difference is that of the numbers in the file, read back, with "
-            "the formula of their class in MuJoCo C."
-        )
-        limits = (not_run, *say_common(fitted, nearest, inputs), *self.say_more(fitted, drives, options))
+        more = self.say_more(fitted, drives, options)
+        limits = (say_not_run(self.program), *say_common(fitted, nearest, inputs), *more)
         return Export((self.file,), (difference,), limits)
 
     def _import(self, classes: set[str], with_helper: bool) -> str:

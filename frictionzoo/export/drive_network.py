@@ -1,6 +1,6 @@
 """A joint's drive as a function of recent position errors and velocities: delay, controller, motor and network."""
 
-from itertools import chain
+import copy
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,15 @@ class DriveNetwork(torch.nn.Module):
     Attributes:
         steps: Number of steps in the inputs.
     """
+
+    wanted: torch.Tensor
+    falling: torch.Tensor
+    from_torque: torch.Tensor
+    from_velocity: torch.Tensor
+    shift: torch.Tensor
+    offset: torch.Tensor
+    newest: torch.Tensor
+    limit: torch.Tensor
 
     def __init__(self, motor: Motor, law: ActuatorNetwork, timestep: float, delay: float, offset: float) -> None:
         super().__init__()
@@ -56,10 +65,10 @@ class DriveNetwork(torch.nn.Module):
         }
         for name, matrix in matrices.items():
             self.register_buffer(name, torch.tensor(matrix, dtype=torch.float32))
-        layers = [[torch.nn.Linear(*layer.weight.shape[::-1]), torch.nn.ReLU()] for layer in law.layers]
-        self.network: torch.nn.Sequential = torch.nn.Sequential(*[*chain(*layers)][:-1])
-        for mine, theirs in zip(self.network[::2], law.layers, strict=True):
-            mine.load_state_dict(theirs.state_dict())
+        layers = [copy.deepcopy(layer).float() for layer in law.layers]
+        self.network: torch.nn.Sequential = torch.nn.Sequential(
+            *[part for layer in layers for part in (layer, torch.nn.ReLU())][:-1]
+        )
         self.limits: tuple[float, float] = (motor.saturation_effort, motor.effort_limit)
         self.requires_grad_(False).eval()
 

@@ -23,6 +23,7 @@ from frictionzoo.export.motor import (
     read_inputs,
     run_joints,
     say_common,
+    say_not_run,
 )
 from frictionzoo.export.mujoco_c import LAWS as BRISTLES
 from frictionzoo.export.mujoco_c import list_bristles, write_native
@@ -133,7 +134,8 @@ def _write_bam(fitted: FittedDrive, folder: Path, options: Mapping[str, str]) ->
     torque, qpos = compare_files(fitted, [folder / file for file in parameters], reason, inputs)
     listed = ", ".join(f"{name} {given[name]:g}" for name in INPUTS)
     limits = (
-        *say_common(fitted, nearest, {}, Mjlab.program),
+        say_not_run(Mjlab.program),
+        *say_common(fitted, nearest, {}),
         f"The servo's inputs are fixed: {listed}, always enabled; vin_range= draws the supply.",
         "BAM ends the torque at that of standstill, also when braking adds back-EMF to it.",
         "BAM 1.0.2 asks for mjlab 1.3 and Python 3.12; install it with --no-deps beside mjlab 1.6.",
@@ -158,7 +160,8 @@ def _write_lugre(fitted: FittedDrive, folder: Path, options: Mapping[str, str]) 
     qpos = run_joints(fitted, nearest, joints, write_native)
     reason = ", ".join([*list_lacks(fitted, nearest), "bristles begin without load, and act from a step's beginning"])
     limits = (
-        *say_common(fitted, nearest, inputs, Mjlab.program),
+        say_not_run(Mjlab.program),
+        *say_common(fitted, nearest, inputs),
         "A dcmotor's controller gives volts in MuJoCo 3.11, as mjlab 1.6 has it; in later versions it may not.",
         "The bristles' deflection is the actuator's `act`; mjlab begins with 0, a joint without load.",
     )

@@ -207,6 +207,14 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest, held: Collection[str] = ()
     return reasons + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
 
 
+def say_not_run(program: str) -> str:
+    """Say that the file's own program did not run."""
+    return (
+        f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
+        "of their class in MuJoCo C."
+    )
+
+
 def say_common(
     fitted: FittedDrive, nearest: Nearest, inputs: Mapping[str, float], held: Collection[str] = ()
 ) -> list[str]:
@@ -224,13 +232,12 @@ def say_common(
         limits.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
     if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
-        braking = (
-            " Braking adds back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that"
-        )
-        limits.append(
-            f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain."
-            + ("" if held else f"{braking} reason.")
-        )
+        limits.append(f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain.")
+        if not held:
+            limits[-1] += (
+                " Braking adds back-EMF to the torque at standstill: effort_limit lies above saturation_effort for "
+                "that reason."
+            )
     delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values.get("delay", ())))
     words = {**UNITS[fitted.bench.joint_type], "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}
     said = {name: sentence for name, sentence in _SAID.items() if name in values and name not in held}
