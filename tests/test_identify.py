@@ -143,7 +143,7 @@ def test_the_block_runs_in_a_notebook(
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(compilation_cache))
     shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in cells()])
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(notebook, timeout=900, resources={"metadata": {"path": str(tmp_path)}}).execute()
     shown = {
         cell.source.split(" ")[0].partition("(")[0]: output.data["text/html"]
         for cell in notebook.cells
@@ -385,7 +385,7 @@ def test_settings_of_jax_stay_and_what_was_before_does_not_matter(
         f"fz.identify(bench, 'mujoco_default', fz.read({str(recording)!r}), **options).save('fresh')\n"
     )
     fresh = start(program=["-c", code])
-    _, err = fresh.communicate(timeout=300)
+    _, err = fresh.communicate(timeout=900)
     assert fresh.returncode == 0, err
     same = [(tmp_path / folder / "friction.safetensors").read_bytes() for folder in ("run", "fresh")]
     assert same[0] == same[1], "another result than in a fresh process"

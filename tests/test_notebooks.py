@@ -80,7 +80,7 @@ def test_a_notebook_runs(name, tmp_path, compilation_cache, monkeypatch):
     notebook = nbformat.read(NOTEBOOKS[name], as_version=4)
     (parameters,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", []))
     parameters.source = short
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(notebook, timeout=900, resources={"metadata": {"path": str(tmp_path)}}).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     assert sum("image/png" in output.get("data", {}) for output in outputs) == images
     printed = "".join(output.text for output in outputs if output.output_type == "stream").splitlines()
