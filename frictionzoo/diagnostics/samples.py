@@ -147,12 +147,7 @@ def _find_frozen(of: str, qpos: Signal) -> Iterator[Finding]:
 
 
 def check_turns(of: str, log: Log, joint: int, limits: np.ndarray) -> Iterator[Finding]:
-    """Find an angle that seems to be in degrees, by its range, the encoder step and the limits of the file.
-
-    A stated unit raises no doubt.
-    """
-    if "qpos" in log.units:
-        return
+    """Find an angle that seems to be in degrees, by its range, the encoder step and the limits of the file."""
     qpos = log.qpos[:, joint]
     span, low, high = float(np.ptp(qpos)), *limits
     degrees = np.radians(qpos)
