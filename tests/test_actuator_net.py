@@ -15,10 +15,12 @@ from helpers.drawn import draw, fit, write
 
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.state import DriveState
+from frictionzoo.export.base import REGISTRY as TARGETS
 from frictionzoo.export.drive_network import DriveNetwork
 from frictionzoo.export.motor import Motor, motors
 from frictionzoo.export.torchscript import load_script
 from frictionzoo.models import ActuatorNetwork
+from frictionzoo.models.registry import REGISTRY as MODELS
 
 STEP = 0.005  # s
 SIZE = {"init": 0.1, "low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
@@ -31,6 +33,11 @@ def make_law(history: list[int], seed: int = 0) -> ActuatorNetwork:
     with torch.no_grad():
         law.layers[-1].weight.mul_(100.0)
     return law
+
+
+def test_a_run_suggests_a_target_that_exists() -> None:
+    suggested = {name: MODELS.get(name).export_target for name in MODELS.names()}
+    assert {*suggested.values()} <= {*TARGETS.names()} and suggested["actuator_network"] == "actuator_net"
 
 
 @pytest.mark.parametrize("motor", [Motor(20.0, 0.5), Motor(20.0, 0.5, 6.0, 12.0, 8.0)], ids=["pd", "dc"])

@@ -23,7 +23,6 @@ from frictionzoo.models.sees import SEES, observe, simpler_law, suggest_law
 from frictionzoo.result.section_types import Residual, SuggestedCommand
 
 FIRST_LAW = "mujoco_default"  # suggested if no other model is
-TARGET = "mjcf"
 _INSPECT, _DESIGN = (["python", "-m", f"frictionzoo.{name}"] for name in ("inspect", "design"))
 _OF_THE_FOLDER = re.compile(r"[+~]*(resume|output)=")
 _OF_THE_LAW = re.compile(r"[+~]*model\b")
@@ -90,7 +89,7 @@ def suggest_commands(
         found["recording"] = _design_in_shell(problem, limits, law, origin)
     else:
         found["inspect"] += "  # no command can be designed for this drive; record the motion that is missing"
-    found["export"] = f"python -m frictionzoo.export {origin.place} target={TARGET}"
+    found["export"] = f"python -m frictionzoo.export {origin.place} target={problem.drive.model.export_target}"
     return [SuggestedCommand(kind, command) for kind, command in found.items()]
 
 

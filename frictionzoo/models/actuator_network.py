@@ -58,6 +58,7 @@ class ActuatorNetwork(ResidualNetwork):
 
     sees = ("speed", "slow", "fast", "direction", "load", "reversal")
     count: ClassVar[int] = 2
+    export_target: ClassVar[str] = "actuator_net"
 
     def __init__(
         self,

@@ -54,6 +54,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             falls as the speed rises; `fast`, friction grows faster than the speed; `direction`, friction differs
             between the two; `load`, `position`, `temperature`; `reversal`, friction depends on how long ago the motion
             reversed. A run's verdict uses it to suggest a model with a missing term, never one with empty `sees`.
+        export_target: Target of the export that a run suggests.
         params: Initial value, bounds and scale of each physical parameter.
 
     Raises:
@@ -71,6 +72,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     memory: int = 0
     shortest_segment: float = 0.0
     sees: ClassVar[tuple[str, ...]] = ()
+    export_target: ClassVar[str] = "mjcf"
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
