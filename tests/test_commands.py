@@ -238,12 +238,13 @@ SLOW = pytest.mark.slow
 WITH_PACKAGE = blocks_of(PACKAGE / "README.md")  # tests/test_out_of_tree.py runs them
 FROM = r"python -m frictionzoo\."
 LEFT = {
+    "test_actuator_net": rf"{FROM}export RUN target=actuator_net",
     "test_bam": rf"{FROM}bench\.read_bam FILE\.json",
     "test_card": rf"{FROM}card RUN licence=cc-by-4\.0.*",
     "test_card_origin": rf"{FROM}card RUN licence=.* bam=.*|{FROM}run data=xl330 \$\({FROM}bench\.read_bam .*\)",
     "test_compare": rf"{FROM}compare multirun/\S+( outputs/\S+ --output comparison)?",
     "test_design": rf"{FROM}design RUN position=1\.5 velocity=4 torque=2",
-    "test_distill": rf"{FROM}distill RUN model=(stribeck|mujoco_default output=STUDENT)",
+    "test_distill": rf"{FROM}distill RUN model=(stribeck|actuator_network|mujoco_default output=STUDENT)",
     "test_drift": rf"{FROM}drift RUN (OTHER_RUN THIRD_RUN )?b\.csv.*",
     "test_docs": r"make docs|mkdocs serve|python docs/draw_landing\.py",
     "test_experiments": r"make cards LICENCE=cc-by-4\.0",

@@ -123,6 +123,17 @@ def test_a_networks_student_is_a_run(finished_run: Callable, distill: Callable, 
     assert {run["label"] for run in compared["runs"]} == {"neural_friction", "mujoco_default"}
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
+def test_an_actuator_network_learns_from_a_run(finished_run: Callable, distill: Callable, tmp_path: Path) -> None:
+    network = tmp_path / "network"
+    options = ("model=actuator_network", "fit=adam", "fit.iterations=3", f"output={network}")
+    finished = distill(finished_run("coulomb_stribeck")[0], *options)
+    assert finished.status in (0, NOT_IDENTIFIED), finished.err
+    assert not export([str(network), "target=actuator_net"])
+    assert {"actuator_net.pt", "actuator_net.onnx"} <= {path.name for path in (network / "export").rglob("*")}
+
+
 def test_the_fit_suits_the_size_of_the_model(make: Callable[..., Any]) -> None:
     auto, lm = make("fit", "fit=auto"), make("fit", "fit=lm")
     objectives = [
