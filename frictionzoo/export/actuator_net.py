@@ -40,7 +40,7 @@ HELD = ("delay", "torque_offset")
 MOST_ROWS = 10_000
 """Largest number of steps in which the two network files are compared."""
 LIMITS = (
-    "None of the programs was run: the difference is that of the TorchScript file, evaluated in 32 bits in each step, "
+    "None of the programs was run: the difference comes from the TorchScript file, evaluated in 32 bits in each step, "
     "with the file's armature, frictionloss and damping in MuJoCo C.",
     "The network file holds controller, motor, command delay and network, the Python files armature, frictionloss and "
     "damping. Do not add gains, limits or delays.",
@@ -201,7 +201,7 @@ def roll(
 def compare_onnx(
     fitted: FittedDrive, path: Path, run: Callable[[torch.Tensor], torch.Tensor], inputs: torch.Tensor
 ) -> Deviation:
-    """Compare the torque of the ONNX file with that of the TorchScript file."""
+    """Compare the torque of the ONNX file with the TorchScript file's."""
     (came,) = run_onnx(path, {"x": inputs})
     over = f"{len(inputs)} states of {path.name} in ONNX Runtime"
     return measure("torque", fitted, came.astype(np.float64), run(inputs).double().numpy(), over)

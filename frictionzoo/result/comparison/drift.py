@@ -141,7 +141,7 @@ def find_differences(earlier: Estimates, now: Estimates, alarm: float) -> Differ
 def decide(found: Differences, relative: Sequence[bool], smallest: float) -> list[Verdict]:
     """Return the verdict on each coordinate; `relative` says which are logarithms.
 
-    A change exceeds its interval and `smallest`. An interval as wide as that of a parameter that is not identifiable
+    A change exceeds its interval and `smallest`. An interval so wide that a parameter counts as not identifiable
     allows no verdict.
     """
     size = np.abs(np.where(relative, np.expm1(found.change), found.change))
