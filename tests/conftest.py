@@ -83,10 +83,36 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {older}".strip()
 
 
-def pytest_runtest_setup() -> None:
-    """Tests that would begin after TESTS_UNTIL, a time in s since 1970, are skipped and listed."""
-    if time.time() > float(os.environ.get("TESTS_UNTIL", "inf")):
-        pytest.skip("not run: TESTS_UNTIL is over, as this machine is slower than usual; run `make slow`")
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Iterator[None]:
+    """What has not ended by TESTS_UNTIL, a time in s since 1970, is skipped and listed."""
+    with _ending_in_time():
+        yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """As above."""
+    with _ending_in_time():
+        yield
+
+
+@contextlib.contextmanager
+def _ending_in_time() -> Iterator[None]:
+    left = float(os.environ.get("TESTS_UNTIL", "inf")) - time.time()
+
+    def stop(*_: object) -> None:
+        pytest.skip("not run to its end: TESTS_UNTIL is over, as this machine is slower than usual; run `make slow`")
+
+    if left <= 0:
+        stop()
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, min(left, 1e6))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

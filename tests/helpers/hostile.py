@@ -30,6 +30,7 @@ from frictionzoo.cli import run
 from frictionzoo.cli.finished import compare, distill, export
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.manifest import MANIFEST, FileState, Manifest
+from frictionzoo.report import with_matplotlib
 from frictionzoo.result.card import hash_record
 
 MARK = "stranger_was_here"
@@ -37,8 +38,8 @@ PROCESSES = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn"
 SOCKETS = ("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostby", "socket.sendto", "urllib.")
 WRITES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.chmod")
 PYTHON = f"open({MARK!r}, 'w').close()\nimport sys; sys.{MARK} = True\nclass Law: ...\nmain = X = Law\n"
-COMMANDS = {"load": 50, "card": 25, "compare": 12, "export": 6, "resume": 6, "distill": 1}
-"""How often each is tried, of a hundred times; a resumed or distilled run is fitted, where nothing refuses it."""
+COMMANDS = {"load": 560, "card": 300, "compare": 60, "export": 25, "resume": 50, "distill": 5}
+"""How often each is tried, of a thousand times; a resumed or distilled run is fitted, where nothing refuses it."""
 
 
 class Bomb:
@@ -314,7 +315,9 @@ def mutate(folder: Path, rng: random.Random) -> list[str]:
 
 
 def main(source: Path, card: Path, scratch: Path, count: int, seed: int) -> None:
-    """Try so many mutations."""
+    """Try so many mutations. PDF is left out: it draws what PNG draws, and takes a second to embed its fonts."""
+    save = with_matplotlib.save_figure
+    with_matplotlib.save_figure = lambda figure, path: None if path.suffix == ".pdf" else save(figure, path)
     tempfile.tempdir = str(scratch)
     places = [Path(os.environ[name]) for name in ("XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR")]
     outside, watch = scratch / "outside", Watch(scratch, [*places, Path(os.devnull)])
