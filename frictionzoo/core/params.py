@@ -34,7 +34,8 @@ class Parameter:
     """Physical parameter as a friction model's class declares it, for every bench.
 
     `init`, `low` and `high` are multiples of the bench's typical torque, velocity, damping or inertia (`scale` of a
-    configuration), so they suit both a servo and a carriage; see `frictionzoo.core.units.TYPICAL`.
+    configuration), so they suit both a servo and a carriage, or in SI units for dimensions that
+    `frictionzoo.core.units.TYPICAL` does not contain.
 
     Attributes:
         dimension: One of `frictionzoo.core.units.DIMENSIONS`.
@@ -43,7 +44,8 @@ class Parameter:
         high: Upper bound.
         scale: As in `Param`.
         identify: Whether a fit may change it by default.
-        from_robot: Whether a value in the robot's file replaces `init`.
+        from_robot: Whether a value of this name in the robot's file, of `<joint>` or of a `<dcmotor>`'s friction,
+            replaces `init`.
     """
 
     dimension: str

@@ -72,7 +72,7 @@ def check_signals(
             yield Finding("caution", f"outliers {name}", text, repairs=(Repair("data.clean.spikes", "repair"),))
             signals[:, joint] = np.interp(np.arange(len(values)), np.flatnonzero(~far), values[~far])
     qpos, qvel, ctrl = (cleaned[name][:, joint] for name in ("qpos", "qvel", "ctrl"))
-    fault = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
+    fault = _find_still(of, qpos, ctrl, alone=len(bench.joints) == 1) or _find_noise(of, qpos)
     if fault is None and bench.joint_type == "hinge":
         fault = _find_wrapping(of, qpos)
     if fault is not None:
@@ -91,10 +91,13 @@ def check_signals(
         yield Finding("bad" if speed > FAST else "caution", "stroke", text)
 
 
-def _find_still(of: str, qpos: Signal, ctrl: Signal) -> Finding | None:
+def _find_still(of: str, qpos: Signal, ctrl: Signal, alone: bool) -> Finding | None:
     moved, quantum = float(np.ptp(qpos)), find_quantum(qpos) or 0.0
     if moved > STILL * quantum and moved > 1e-9 * max(1.0, float(np.abs(qpos).max())):
         return None
+    if not alone and np.ptp(ctrl) <= 1e-6 * max(1.0, float(np.abs(ctrl).max())):  # other joints may move meanwhile
+        text = f"qpos{of} and its command are constant: this recording does not contain information on this joint"
+        return Finding("note", "still", text)
     text = f"qpos{of} moves by {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; check "
     text += "whether it was on, and data.columns.qpos"
     return Finding("bad", "still", text)

@@ -82,7 +82,8 @@ class Target(ABC):
         name: Set by `register_target`.
         options: Description of each option of the target, in addition to the common ones.
         integrators: Supported MuJoCo integrators.
-        packages: Python packages needed to write and run the files; their versions are noted.
+        packages: Python packages needed to write and run the files; their versions are noted. With `mujoco`, the
+            drive's simulation is also verified against MuJoCo C.
         instant: Whether the files evaluate the friction model at one instant, which excludes models with memory.
     """
 
@@ -94,9 +95,11 @@ class Target(ABC):
 
     @abstractmethod
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
-        """Write the drive for the requested time step, and run the written files.
+        """Write the drive, and run the written files.
 
-        `folder` is empty, and its files are discarded after an error. `options` has the target's options as text.
+        `fitted` is already converted to the requested time step and to first order; a command delay is left to the
+        target. `folder` is empty, and its files are discarded after an error. `options` has the target's options as
+        text.
 
         Raises:
             FrictionzooError: The target cannot represent this drive, or an option is invalid.

@@ -41,6 +41,7 @@ class Nearest:
     """A drive with MuJoCo's joint friction.
 
     Attributes:
+        bench: Bench parameters by name: refitted armature, gains, delay and offsets.
         frictionloss: [N m or N].
         damping: [N m s/rad or N s/m], without the damping of the test stand, `bench.own_damping`.
         remark: Description of the approximation and its loss of accuracy; empty for MuJoCo's friction model.

@@ -28,9 +28,9 @@ OPTIONAL = {
     "position_offset": "the data show an encoder offset",
     "torque_offset": "the data show a constant torque",
 }
-"""Bench parameters that are identified only if the recordings show them, with that reason."""
+"""Bench parameters that are identified only if the recordings show them, with that reason; 0 means absent for each."""
 RIVALS = "torque_offset", "position_offset"
-"""Optional parameters that shift a balance with gravity alike: at most one of them is identified."""
+"""Two optional parameters that shift a balance with gravity alike: at most one of them is identified."""
 
 
 class Choice(NamedTuple):

@@ -234,6 +234,7 @@ class Stages(Trials):
         param = self._bench.params[name]
         rows = [row for row, label in enumerate(found.labels) if label.partition("/")[0] == f"bench.{name}"]
         values, halves = (np.asarray(param.from_coordinate(array[rows], np)) for array in (found.vector, found.half))
+        # At its upper bound a value has no interval, and 0 explains the recordings still less.
         ended_high = found.at_bound[rows] & (np.abs(values) > 0.5 * np.max(param.each("high", self._bench.nv)))
         shown = bool((np.abs(values) > _CLEAR * halves).any() or ended_high.any())
         unit = param.unit(self._bench.joint_type)

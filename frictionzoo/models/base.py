@@ -139,7 +139,9 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         """Advance one simulation step: return the terms that act until the next state, and the memory in this state.
 
         A model with memory overrides this method and `settle`. It is pure like `terms` and takes the same arguments,
-        the memory after the previous step, of shape (..., nv, memory), and the timestep of the simulation [s].
+        the memory that the previous call returned, of shape (..., nv, memory), and the timestep of the simulation [s].
+        It first advances that memory to this state, and returns the terms with the memory expected at the end of the
+        step. Second-order rollouts know the slope over velocity only from `damping`: put what is linear there.
         """
         return self.terms(xp, values, state), memory
 

@@ -25,7 +25,7 @@ class Friction:
         settle: Called once at the start of a rollout with the model's values and the first state; returns the memory,
             of shape (nv, memory).
         advance: Called in each step with values, state, memory and time step [s]; returns the friction terms that act
-            during the step, and the memory after it.
+            during the step, and the memory in this state.
     """
 
     settle: Callable[[Mapping[str, Any], DriveState], Array]
