@@ -256,6 +256,7 @@ LEFT = {
     "test_resume": rf"{JOB}resume=outputs/\S+",
     "test_sweep": rf"{JOB}-m .* resume=true",
     "test_targets": r"make targets RUNS=.*|python benchmarks/targets\.py .*",
+    "test_usd": rf"{FROM}export RUN target=usd into=robot\.usd",
     "test_wheel": r"pip wheel --no-deps \.",
 }
 RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [

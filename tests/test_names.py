@@ -56,6 +56,7 @@ TARGETS = target_names()
 OPTIONS = {
     "randomisation": {"ranges": "{bench.armature: [0.8, 1.2], friction.damping: [0.5, 2]}", "count": "3", "files": "1"},
     "bam": {"servo": "xl330"},
+    "usd": {"into": str(Path(__file__).parent / "helpers" / "robot.usda"), "joint": "/robot/left/hip,/robot/right/hip"},
 }
 LAWS = {"actuator_net": ActuatorNetwork}  # targets of one model
 EVERYTHING = (
@@ -253,12 +254,18 @@ def judge_header(plain: Path, written: Path, names: dict[str, str]) -> None:
     assert [name.decode() for name in read] == [*names.values()]
 
 
+def judge_same(plain: Path, written: Path, names: dict[str, str]) -> None:
+    """The file has names of another file only."""
+    assert plain.read_bytes() == written.read_bytes() and not any(name in plain.read_text() for name in names)
+
+
 JUDGES: dict[str, Callable[[Path, Path, dict[str, str]], None]] = {
     ".py": judge_python,
     **dict.fromkeys((".xml", ".urdf", ".sdf"), judge_xml),
     ".json": judge_json,
     ".h": judge_header,
     ".npz": judge_arrays,
+    ".usda": judge_same,
     **dict.fromkeys((".onnx", ".pt"), judge_graph),
 }
 

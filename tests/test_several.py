@@ -17,7 +17,7 @@ from frictionzoo.fit.chunk import search
 from frictionzoo.fit.contained import Part
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.normal_equations import NormalEquations, descend
-from frictionzoo.fit.several import _is_near
+from frictionzoo.fit.several import _along, _is_near
 from frictionzoo.fit.space import Box
 from frictionzoo.models import model_names
 from frictionzoo.models.registry import get_model
@@ -144,3 +144,19 @@ def test_a_search_with_rivals_ends_when_it_is_slow(stiffness: float, patience: i
 
     descend(evaluate, Box(np.ones(1), -np.ones(1), np.ones(1)), 30, 1e-9, patience=patience)
     assert len(tried) == vectors
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-18, -1e-18, 1e-300])
+def test_coordinates_without_effect_do_not_move_with_a_delay(rounding: float) -> None:
+    """A robot's joint that sticks leaves rounding instead of curvature, on the diagonal and beside it."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        jacobian = rng.normal(size=(30, 6)) * 10.0 ** rng.uniform(-2, 2, 6)
+        jacobian[:, 2] = 0.0
+        hessian = jacobian.T @ jacobian
+        expected = -np.linalg.lstsq(np.delete(jacobian, [0, 2], 1), jacobian[:, 0], rcond=None)[0]
+        hessian[2, 2], hessian[2, 4], hessian[4, 2] = rounding, 1e-17, 1e-17
+        direction = _along(hessian, 0)
+        np.testing.assert_allclose(np.delete(direction, [0, 2]), expected, rtol=1e-5)
+        assert direction[0] == 1.0 and np.isfinite(direction).all()
+        assert rounding > 0 or direction[2] == 0.0

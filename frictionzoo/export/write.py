@@ -25,6 +25,7 @@ from frictionzoo.result.simulator import RK4, find_limited
 NOTE = "export.json"
 ALL = "all"
 COMMON = ("target", "timestep", "integrator", "output")
+_DISTRIBUTIONS = {"pxr": "usd-core"}  # of packages that pip installs under another name
 
 
 def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
@@ -133,7 +134,8 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
     target = get_target(name)()
     for package in target.packages:
         if find_spec(package) is None:
-            raise ExportError(f"target={name}: {package} is not installed; pip install {package}")
+            missing = _DISTRIBUTIONS.get(package, package)
+            raise ExportError(f"target={name}: {missing} is not installed; pip install {missing}")
     if moved.integrator not in target.integrators:
         raise ConfigError(
             f"integrator={moved.integrator}: target={name} takes {' or '.join(target.integrators)}; change it, "

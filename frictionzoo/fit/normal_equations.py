@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from frictionzoo.fit.space import Box
 
-_NOTHING = 1e-24  # curvature, as a share of the largest, below which it is rounding
+NOTHING = 1e-24  # curvature, as a share of the largest, below which it is rounding
 _SLOW = 0.8  # share of the loss, after `patience` vectors, above which a search has become slow
 _STIFFEST = 1e6  # damping above which only rounding could lower the loss
 
@@ -54,7 +54,7 @@ def compress(
     last residual is the remainder, which no coordinate changes.
     """
     curvature = np.diag(equations.hessian)
-    least = max(_NOTHING * np.abs(curvature).max(initial=0.0), np.finfo(float).tiny)  # rounding leaves negative ones
+    least = max(NOTHING * np.abs(curvature).max(initial=0.0), np.finfo(float).tiny)  # rounding leaves negative ones
     scale = np.sqrt(np.maximum(curvature, least))
     eigenvalues, vectors = np.linalg.eigh(equations.hessian / np.outer(scale, scale))
     kept = eigenvalues > np.finfo(float).eps * len(scale) * max(eigenvalues[-1], 0)

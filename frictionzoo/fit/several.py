@@ -12,7 +12,7 @@ from frictionzoo.fit.base import Evaluation, Fit, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.contained import Part
 from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, is_near, refuse_tolerance
-from frictionzoo.fit.normal_equations import NormalEquations, descend
+from frictionzoo.fit.normal_equations import NOTHING, NormalEquations, descend
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.space import Box
 from frictionzoo.models import FrictionModel
@@ -252,10 +252,13 @@ def _is_near(places: Sequence[float], at: int, unit: float) -> Callable[[np.ndar
 
 def _along(hessian: Float[np.ndarray, "coordinates coordinates"], at: int) -> Float[np.ndarray, "coordinates"]:
     """Return how all coordinates move, for the least loss, when one of them moves by 1."""
-    others = np.delete(np.arange(len(hessian)), at)
-    scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
+    diagonal = np.diag(hessian)
+    has_effect = diagonal > NOTHING * diagonal.max()  # rounding leaves a little, or less than 0
+    others = np.flatnonzero(has_effect & (np.arange(len(hessian)) != at))
+    scale = np.sqrt(np.where(has_effect, diagonal, 1.0))
     scaled = hessian / np.outer(scale, scale)
-    direction = np.ones(len(hessian))
+    direction = np.zeros(len(hessian))
+    direction[at] = 1.0
     response = np.linalg.lstsq(scaled[np.ix_(others, others)], scaled[others, at], rcond=_FLAT)[0]
     direction[others] = -response * scale[at] / scale[others]
     return direction
