@@ -86,19 +86,19 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup() -> Iterator[None]:
     """What has not ended by TESTS_UNTIL, a time in s since 1970, is skipped and listed."""
-    with _ending_in_time():
+    with ending_in_time():
         yield
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call() -> Iterator[None]:
     """As above."""
-    with _ending_in_time():
+    with ending_in_time():
         yield
 
 
 @contextlib.contextmanager
-def _ending_in_time() -> Iterator[None]:
+def ending_in_time() -> Iterator[None]:
     left = float(os.environ.get("TESTS_UNTIL", "inf")) - time.time()
 
     def stop(*_: object) -> None:

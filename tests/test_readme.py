@@ -5,9 +5,11 @@ import re
 import runpy
 import shlex
 import subprocess
+import time
+from contextlib import nullcontext
 
 import pytest
-from conftest import check_each, pytest_runtest_setup
+from conftest import check_each, ending_in_time
 from helpers.composing import assert_composes
 from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of
 from omegaconf import OmegaConf
@@ -78,10 +80,13 @@ def test_ci_runs_the_first_blocks_of_the_readme_as_they_stand():
 
 
 def test_tests_end_in_time_where_a_time_is_set(monkeypatch: pytest.MonkeyPatch):
-    pytest_runtest_setup()
-    monkeypatch.setenv("TESTS_UNTIL", "1e9")
-    with pytest.raises(pytest.skip.Exception, match="run `make slow`"):
-        pytest_runtest_setup()
+    """One that would begin later is skipped, and one that has begun by then."""
+    for until, seconds in ((None, 0.0), ("1e9", 0.0), (str(time.time() + 0.2), 10.0)):
+        with monkeypatch.context() as patch:
+            patch.setenv("TESTS_UNTIL", until) if until else patch.delenv("TESTS_UNTIL", raising=False)
+            expected = pytest.raises(pytest.skip.Exception, match="run `make slow`") if until else nullcontext()
+            with expected, ending_in_time():
+                time.sleep(seconds)
 
 
 def test_what_make_docs_writes_is_up_to_date(monkeypatch: pytest.MonkeyPatch):
