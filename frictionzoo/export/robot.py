@@ -150,7 +150,7 @@ def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
     if failure is None:
         return ()
     if _compile(path.read_bytes(), path) is None:
-        raise ExportError(f"into={path}: with the drive in it, MuJoCo does not compile it ({failure}); mend it")
+        raise ExportError(f"into={path}: with the drive in it, MuJoCo does not compile it ({failure}); fix it")
     return (f"MuJoCo does not compile it here, nor the original ({failure}): it was checked without meshes.",)
 
 

@@ -87,15 +87,15 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Finding]:
     largest = f"the {used['quantity']}{joint}, {100 * used['share']:.0f} % of its limit"
     if unknown:
         text = (
-            f"Not identifiable with this command: {', '.join(unknown)}. Highest use: {largest}. Set such a parameter to "
+            f"Not identifiable with this command: {', '.join(unknown)}. Highest use: {largest}. Set such a parameter "
         )
-        text += "a known value, use a model without it, raise the limits, or record longer."
+        text += "to a known value, use a model without it, raise the limits, or record longer."
         yield Finding("caution", "Parameters", text)
     else:
         yield Finding("good", "Parameters", f"All {len(note['parameters'])} parameters are identifiable.")
     rows = [row for row in note["parameters"] if None not in (row["share"], row["share_now"])]
     if no_gain := [row["name"] for row in rows if row["share_now"] <= row["share"]]:
-        text = f"The run is already as accurate for {', '.join(no_gain)}: design a longer command (seconds), with longer"
+        text = f"The run is already as accurate for {', '.join(no_gain)}: design a longer command (seconds), longer"
         yield Finding(
             "caution", "Gain", f"{text} segments (segments.length), or with wider limits; or fit both recordings."
         )
@@ -117,9 +117,7 @@ def _say_headline(note: Mapping[str, Any]) -> str:
     rows = [row for row in note["parameters"] if row["identifiable"] and row["share"] is not None]
     command, count = note["command"], len(note["parameters"])
     identifiable = sum(row["identifiable"] for row in note["parameters"])
-    text = (
-        f"{command['seconds']:g} s at {command['rate']:g} samples/s: {identifiable} of {count} parameters of "
-    )
+    text = f"{command['seconds']:g} s at {command['rate']:g} samples/s: {identifiable} of {count} parameters of "
     text += f"{note['model']} are identifiable"
     if not rows:
         return f"{text}."
@@ -174,9 +172,7 @@ def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint
         panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis))
     rows = [limits[quantity] for quantity in _QUANTITIES]
     ends = ", ".join("{:.3g} to {:.3g} {}".format(*row["reached"], row["unit"]) for row in rows)
-    text = (
-        f"Command of {note['joints'][joint]} and expected motion in MuJoCo C; dashed: the limits. Ranges: {ends}."
-    )
+    text = f"Command of {note['joints'][joint]} and expected motion in MuJoCo C; dashed: the limits. Ranges: {ends}."
     text += f" Outside the frame: the limits of {' and '.join(outside)}." if outside else ""
     return Figure(f"Motion of {note['joints'][joint]}", text, tuple(panels), height=620)
 
