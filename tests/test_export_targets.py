@@ -259,7 +259,7 @@ def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
     np.testing.assert_array_equal(servo.ctrlrange, [-3, 3])
     assert export.differences[1].quantity == "torque"
     assert export.differences[1].largest < EXACT
-    assert any("time step is 0.002 s" in limit for limit in export.limits)
+    assert any("timestep is 0.002 s" in limit for limit in export.limits)
 
 
 def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):

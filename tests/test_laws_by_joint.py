@@ -230,9 +230,9 @@ def test_what_mujoco_has_is_exported_as_it_is_and_the_rest_is_the_nearest(found:
     assert written is not None
     joints, (said, *_) = read_joints(tmp_path / "mjcf" / "bench.xml"), written.limits
     assert said.startswith(
-        "A frictionloss and a damping cannot represent stribeck (of knee): they and the armature were refitted"
+        "Frictionloss and damping cannot represent stribeck (of knee): they were refitted, with the armature,"
     )
-    assert said.endswith("Those of the other joints are their law's.")
+    assert said.endswith("The other joints have the values of their model.")
     known = {name: parameter.value for name, parameter in found.parameters.items()}
     assert joints["hip"] == {
         "dof_armature": known["bench.armature"][0],

@@ -34,7 +34,7 @@ class Mjx(Target):
         written = write_drive(fitted, folder, "mjx_drive.py.jinja", loss, late_remark=late)
         with jax.enable_x64(True):
             difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
-        limit = "The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."
+        limit = "The difference is in 64 bits (jax_enable_x64); JAX's default of 32 bits rounds more."
         return Export(written, (difference,), (limit, *([PAYLOADS] if fitted.bench.payload is not None else [])))
 
 

@@ -160,7 +160,7 @@ def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Deviation, ...], str]:
         measure("qpos", fitted, drawn, drawn_expected, over, drives[0][1].lacks),
     )
     unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result.metrics.test.position_mae
-    test_error = "" if error is None else f"; the fitted drive's test error is {error:.2g} {unit} in the mean"
+    test_error = "" if error is None else f"; the fitted drive's mean test error is {error:.2g} {unit}"
     return differences, (
         f"Positions of the {len(drawn)} drives in {FOLDER}/ are {drawn.std(axis=0).mean():.2g} {unit} apart (standard "
         f"deviation, mean over {fitted.over}) and {np.ptp(drawn, axis=0).max():.2g} {unit} at most{test_error}."

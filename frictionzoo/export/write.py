@@ -162,7 +162,7 @@ def _say_simulator(moved: FittedDrive) -> list[str]:
         return []
     qpos, unit = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"]
     distance = np.abs(qpos - moved.predict_origin().qpos)
-    gap = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
+    gap = f"by {distance.mean():.2g} {unit} on average and {distance.max():.2g} {unit} at most, over {moved.over}"
     if not moved.is_simulated:
         fitted = f"those of {origin.timestep:g} s with which it was fitted"
         return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {gap}."]
