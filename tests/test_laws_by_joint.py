@@ -281,7 +281,7 @@ def test_laws_that_remember_are_written_side_by_side(found: fz.Identified, tmp_p
         ({"hip": "stribeck"}, "laws: no pattern of hip fits knee; add one, such as '.*', last"),
         (
             {".*": "dahl", "hip": "lugre"},
-            "laws: hip: no joint for it; hip has the law of a pattern before it; put it first, or",
+            "laws: hip: no joint for it; hip matches an earlier pattern; put this one first, or",
         ),
         ({".*": "dahl", "ankle": "lugre"}, "laws: ankle: no joint for it; expected one of hip, knee, or leave it out"),
         ({"(": "dahl", ".*": "lugre"}, "laws: (: no pattern (missing ), unterminated subpattern at position 0)"),
