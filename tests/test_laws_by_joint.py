@@ -270,7 +270,7 @@ def test_laws_that_remember_are_written_side_by_side(found: fz.Identified, tmp_p
     values = {**found.values, "friction": {name: value.detach().numpy() for name, value in law.state_dict().items()}}
     written = replace(found, model=law, values=values).export("mujoco", tmp_path / "drive").export
     assert written is not None and written.differences[0].largest < 1e-9
-    with pytest.raises(FrictionzooError, match="target=onnx: by_joint remembers what was before"):
+    with pytest.raises(FrictionzooError, match="target=onnx: by_joint has memory"):
         replace(found, model=law, values=values).export("onnx", tmp_path / "onnx")
 
 

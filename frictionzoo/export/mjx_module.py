@@ -30,7 +30,7 @@ class Mjx(Target):
         """See `Target.write`."""
         # MJX allocates friction constraints only for joints with frictionloss > 0; each step sets their values.
         loss = np.array(fitted.model.constrained, float) if fitted.model.constraint else None
-        late = Code("commands act late." if "delay" in fitted.values["bench"] else "they act at once.")
+        late = Code("commands are delayed." if "delay" in fitted.values["bench"] else "there is no delay.")
         written = write_drive(fitted, folder, "mjx_drive.py.jinja", loss, late_remark=late)
         with jax.enable_x64(True):
             difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
