@@ -141,7 +141,7 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
         )
     if target.instant and moved.model.memory:
         raise ExportError(
-            f"target={name}: {moved.model.name} has memory, expected a law of the present state; take "
+            f"target={name}: {moved.model.name} has memory, expected a model without memory; use "
             "target=mujoco or mjx, whose modules remember too, or fit another model"
         )
     if "mujoco" in target.packages:
