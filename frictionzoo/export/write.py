@@ -142,7 +142,7 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
     if target.instant and moved.model.memory:
         raise ExportError(
             f"target={name}: {moved.model.name} has memory, expected a model without memory; use "
-            "target=mujoco or mjx, whose modules remember too, or fit another model"
+            "target=mujoco or mjx, whose modules have memory, or fit another model"
         )
     if "mujoco" in target.packages:
         moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
