@@ -97,7 +97,7 @@ def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
         (lambda log: {"qpos": -log.qpos, "qvel": -log.qvel}, "moves opposite .* or the sign of both qpos and qvel"),
         (lambda log: {"ctrl": late(log.ctrl, 200)}, r"is ahead of ctrl by 120 ms.* set data\.clean\.command_lag=0\.17"),
         (lambda log: {"ctrl": 57.3 * log.ctrl}, r"ratio 0\.01725: set data\.units\.ctrl=deg"),
-        (lambda log: {"qpos": 57.3 * log.qpos, "qvel": 57.3 * log.qvel}, r"times as far: set data\.units\.qpos=deg"),
+        (lambda log: {"qpos": 57.3 * log.qpos, "qvel": 57.3 * log.qvel}, r"ratio 56\.65: set data\.units\.qpos=deg"),
         (
             lambda log: {"qpos": 30 * log.qpos, "qvel": 30 * log.qvel},
             r"a missing gear ratio, data\.units\.qpos=0\.0337",
