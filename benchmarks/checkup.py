@@ -229,7 +229,7 @@ FAULTS: Mapping[str, tuple[Maker, str]] = {
     "one speed only": (keep_speed, r"record slower and faster motion"),
     "aliasing": (alias, r"data\.clean\.step"),
     "clock drift": (drift, r"data\.columns\.time"),
-    "one joint turns the other way": (turn_one, r"turns the other way: set data\.sign\.qpos[^;]*=\[1,-1,1"),
+    "one joint turns the other way": (turn_one, r"is reversed: set data\.sign\.qpos[^;]*=\[1,-1,1"),
     "another bench, units said": (lambda log, stand: log if stand.bench.nv == 1 else None, r"bench=NAME"),
     "another bench, units not said": (
         lambda log, stand: replace(log, units={}) if stand.bench.nv == 1 else None,

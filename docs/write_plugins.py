@@ -134,7 +134,7 @@ def _header(name: str) -> str:
 
 def _parameters(law: type[FrictionModel]) -> str:
     if law is ByJoint:
-        return "those of its laws"
+        return "those of its models"
     weights = ["weights"] if issubclass(law, NetworkModel) else []
     return ", ".join([*(f"`{name}`" for name in law.dimensions), *weights]) or "none"
 

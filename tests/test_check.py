@@ -132,7 +132,9 @@ BROKEN = {  # the clause, and what of it the message names
     "state_dict: does not go .* velocity_scale": declared(
         prepare=lambda self, samples: setattr(self, "velocity_scale", torch.ones(1, dtype=torch.float64))
     ),
-    "contains: slides otherwise than mujoco_default": declared(contains={"mujoco_default": {"dry": "frictionloss"}}),
+    "contains: in sliding, it differs from mujoco_default": declared(
+        contains={"mujoco_default": {"dry": "frictionloss"}}
+    ),
     "contains: wet": declared(contains={"mujoco_default": {"wet": 0.0}}),
     "dissipative: friction drives .*=": Drives,
     # Not with its initial value, but with lower ones within the bounds.

@@ -254,7 +254,7 @@ def craft(folder: Path) -> Iterator[tuple[Path, str]]:
     about = (bag / "metadata.yaml").read_text()
     compressed = about.replace("_mode: ''", "_mode: MESSAGE").replace("_format: ''", "_format: zstd")
     (bag / "metadata.yaml").write_text(compressed)
-    yield bag, "compressed by message, expected a bag that is not"
+    yield bag, "compressed by message, expected none"
     (bag / "metadata.yaml").write_text(about)
     with closing(sqlite3.connect(bag / "bag.db3")) as database:
         database.execute("DROP TABLE message_definitions")

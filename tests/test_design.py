@@ -73,9 +73,9 @@ def test_a_command_begins_and_ends_at_rest_and_repeats_itself() -> None:
 @pytest.mark.parametrize(
     ("given", "line"),
     [
-        ({"velocity": 0}, "velocity=0: expected above 0; without it nothing moves"),
+        ({"velocity": 0}, "velocity=0: expected above 0"),
         ({"position": [1, -1]}, r"position=\[1, -1\]: expected two numbers, the smaller first"),
-        ({"position": [1, 2], "home": 0}, "home=0: expected between 1 and 2, as position has it"),
+        ({"position": [1, 2], "home": 0}, "home=0: expected between 1 and 2, the position limits"),
         ({"position": "far"}, r"position=far: expected a number, or two as in \[-1.5,1.8\]"),
         ({"velocity": [1, 2, 3]}, r"velocity=\[1, 2, 3\]: expected a number, or a list of 1, one a joint"),
     ],
@@ -109,7 +109,7 @@ def test_a_drive_that_cannot_rest_within_its_limits_is_refused(knee: Bench) -> N
         refuse_unholdable(knee, knee.initial_values(), {}, limits)
     refuse_unholdable(knee, knee.initial_values(), {}, replace(limits, torque=np.array([0.3])))
     driven = Bench("knee_rod.xml", actuator=Force())
-    with pytest.raises(ConfigError, match="Force: its command is not a position, and nothing would hold the drive"):
+    with pytest.raises(ConfigError, match="Force: its command is not a position, so the drive may leave its limits"):
         refuse_unholdable(driven, driven.initial_values(), {}, replace(limits, torque=np.array([3.0])))
 
 

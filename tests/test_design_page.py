@@ -62,7 +62,7 @@ def test_the_page_answers_what_will_be_known_and_what_to_do(tmp_path: Path, join
     source = show(tmp_path, *joints)
     page = Page(source)
     count = len(joints)
-    assert f"{count} of {2 * count} parameters of stribeck will be known" in page.text
+    assert f"{count} of {2 * count} parameters of stribeck are identifiable" in page.text
     assert "± 2.5 %" in page.text and "now ± 50 %" in page.text and "not identifiable" in page.text
     assert "94 %" in page.text and "(-1.5" not in page.text and "-1.5 to 1.5" in page.text
     assert "ros2 topic pub --once /joint_trajectory_controller/joint_trajectory " in page.text

@@ -96,8 +96,8 @@ def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
         (lambda log: {"ctrl": -log.ctrl}, r"moves opposite to ctrl .* set data\.sign\.ctrl=-1"),
         (lambda log: {"qpos": -log.qpos, "qvel": -log.qvel}, "moves opposite .* or the sign of both qpos and qvel"),
         (lambda log: {"ctrl": late(log.ctrl, 200)}, r"is ahead of ctrl by 120 ms.* set data\.clean\.command_lag=0\.17"),
-        (lambda log: {"ctrl": 57.3 * log.ctrl}, r"0\.01725 times as far: set data\.units\.ctrl=deg"),
-        (lambda log: {"qpos": 57.3 * log.qpos, "qvel": 57.3 * log.qvel}, r"times as far: set data\.units\.qpos=deg"),
+        (lambda log: {"ctrl": 57.3 * log.ctrl}, r"ratio 0\.01725: set data\.units\.ctrl=deg"),
+        (lambda log: {"qpos": 57.3 * log.qpos, "qvel": 57.3 * log.qvel}, r"ratio 56\.65: set data\.units\.qpos=deg"),
         (
             lambda log: {"qpos": 30 * log.qpos, "qvel": 30 * log.qvel},
             r"a missing gear ratio, data\.units\.qpos=0\.0337",
@@ -115,7 +115,7 @@ def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
         (lambda log: {"qpos": -log.qpos}, r"have opposite signs.*or data\.sign\.qpos=-1"),
         (lambda log: {"qpos": log.qpos % (2 * np.pi)}, r"jumps by a whole turn \d+ times.*data\.clean\.wrap=6\.28"),
         (lambda log: {"time": 1000 * log.time}, r"1 s between samples, expected .*; set data\.units\.time=ms"),
-        (lambda log: {"qpos": 0 * log.qpos, "qvel": 0 * log.qvel}, "moves by 0 in all, while ctrl spans"),
+        (lambda log: {"qpos": 0 * log.qpos, "qvel": 0 * log.qvel}, "spans only 0, while ctrl spans"),
         (lambda log: {"qpos": RNG.normal(size=log.qpos.shape)}, "jumps between samples like noise"),
         (lambda log: {"ctrl": put(log.ctrl, 1e300)}, r"ctrl is 1e\+300 at sample 1000, expected at most 1e\+09"),
     ],
@@ -145,8 +145,8 @@ def test_what_is_certain_is_refused_with_what_mends_it(
             "it looks like degrees; set data.units.qpos=deg",
         ),
         (lambda log: {"qpos": late(log.qpos, 400), "qvel": late(log.qvel, 400)}, "identify bench.params.delay"),
-        (lambda log: {"ctrl": advance(log.ctrl, 0.07)}, "their clocks drift apart; record both with one clock"),
-        (lambda log: one_way(log), "the motion never reverses (0 % of it goes the other way)"),
+        (lambda log: {"ctrl": advance(log.ctrl, 0.07)}, "their clocks drift; record both with one clock"),
+        (lambda log: one_way(log), "the motion hardly reverses (0 % in the other direction)"),
         (lambda log: {"qpos": log.qpos + 5}, "both have the same zero"),
     ],
 )
@@ -187,7 +187,7 @@ def test_what_is_certain_is_a_warning_if_the_user_says_so(recorded: tuple[Log, B
 def test_a_position_on_a_bench_of_torques_is_told(recorded: tuple[Log, Bench], make: Callable) -> None:
     log, bench = replace(recorded[0], units={}), make("bench", "bench=emps")
     said = doubts(log, bench)
-    assert "qpos follows ctrl as a desired position" in said and "(bench=NAME)" in said
+    assert "qpos follows ctrl like a desired position" in said and "(bench=NAME)" in said
 
 
 def test_a_torque_before_a_gear_and_one_that_was_recorded_late_are_told(recorded: tuple[Log, Bench]) -> None:
@@ -240,7 +240,7 @@ def test_joints_that_are_swapped_or_turned_are_told(leg: Callable, make: Callabl
     assert said(qpos, qvel, asked) == ""
     log = replace(log, without_velocity=(1,))
     assert {line.partition(";")[0] for line in said(qpos, qvel, asked).splitlines()} == {
-        "the recorded velocity of knee is not used, but estimated from qpos"
+        "the velocity of knee is estimated from qpos, not read from the recording"
     }
     log = replace(log, without_velocity=())
     assert "qpos of hip follows ctrl of knee: columns are swapped" in said(qpos, qvel, asked[:, ::-1])
@@ -249,7 +249,7 @@ def test_joints_that_are_swapped_or_turned_are_told(leg: Callable, make: Callabl
     )
     turn = np.array([1.0, -1.0])
     # Of a leg that hangs down, either joint turned round gives the mirror image of the other.
-    assert re.search("(hip|knee) turns the other way: set data.sign.qpos", said(turn * qpos, turn * qvel, turn * asked))
+    assert re.search("(hip|knee) is reversed: set data.sign.qpos", said(turn * qpos, turn * qvel, turn * asked))
 
 
 def test_a_joint_that_others_move_may_brake_them(recorded: tuple[Log, Bench], leg: Callable) -> None:

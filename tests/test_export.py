@@ -26,7 +26,7 @@ from frictionzoo.simulation.rollout import make_rollout
 
 ANOTHER = {"frictionloss": 0.3, "damping": 0.1}
 EXACT = "represented exactly"
-NEAREST = "A frictionloss and a damping cannot represent"
+NEAREST = "Frictionloss and damping cannot represent"
 
 
 class Explicit(FrictionModel):

@@ -259,7 +259,7 @@ def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
     np.testing.assert_array_equal(servo.ctrlrange, [-3, 3])
     assert export.differences[1].quantity == "torque"
     assert export.differences[1].largest < EXACT
-    assert any("time step is 0.002 s" in limit for limit in export.limits)
+    assert any("timestep is 0.002 s" in limit for limit in export.limits)
 
 
 def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):
@@ -357,7 +357,7 @@ def test_mjlab_gets_the_bristles_in_a_motor(law, tmp_path):
 @pytest.mark.parametrize("target", ["onnx", "torchscript"])
 def test_a_law_that_remembers_is_no_function_of_an_instant(target, tmp_path, monkeypatch):
     monkeypatch.setattr(FittedDrive, "load", lambda folder: make_fitted("lugre"))
-    with pytest.raises(ExportError, match=f"target={target}: lugre remembers what was before, expected"):
+    with pytest.raises(ExportError, match=f"target={target}: lugre has memory, expected"):
         write_exports(tmp_path, {"target": target, "output": str(tmp_path / "drive")})
     assert list(tmp_path.iterdir()) == []
 

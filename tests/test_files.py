@@ -152,7 +152,7 @@ REFUSED = {
     "no value": (["data.split.by=letter", "data.split.test=[d]"], r"test=d: .* a, b, c"),
     "no file": (["data.split.by=file", "data.split.test=[d.csv]"], r"test=d\.csv"),
     "share": (["data.split.by=file", "data.split.test=1.5"], r"data\.split\.test=1\.5 with by=file"),
-    "nothing trains": (["data.split.by=letter", "data.split.test=[a,b,c]"], r"data\.split.* all 3 recordings test"),
+    "nothing trains": (["data.split.by=letter", "data.split.test=[a,b,c]"], r"data\.split.* all 3 recordings are test"),
     "where": (["data.where={letter: [d]}"], r"data\.where\.letter=d: .* a, b, c"),
     "where field": (["data.where={lettre: [a]}"], r"data\.where: .*field lettre; did you mean letter"),
     "nothing kept": (["data.exclude={letter: [a,b,c]}"], r"data\.exclude leave none of 3 recordings"),

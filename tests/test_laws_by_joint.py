@@ -230,9 +230,9 @@ def test_what_mujoco_has_is_exported_as_it_is_and_the_rest_is_the_nearest(found:
     assert written is not None
     joints, (said, *_) = read_joints(tmp_path / "mjcf" / "bench.xml"), written.limits
     assert said.startswith(
-        "A frictionloss and a damping cannot represent stribeck (of knee): they and the armature were refitted"
+        "Frictionloss and damping cannot represent stribeck (of knee): they were refitted, with the armature,"
     )
-    assert said.endswith("Those of the other joints are their law's.")
+    assert said.endswith("The other joints have the values of their model.")
     known = {name: parameter.value for name, parameter in found.parameters.items()}
     assert joints["hip"] == {
         "dof_armature": known["bench.armature"][0],
@@ -270,7 +270,7 @@ def test_laws_that_remember_are_written_side_by_side(found: fz.Identified, tmp_p
     values = {**found.values, "friction": {name: value.detach().numpy() for name, value in law.state_dict().items()}}
     written = replace(found, model=law, values=values).export("mujoco", tmp_path / "drive").export
     assert written is not None and written.differences[0].largest < 1e-9
-    with pytest.raises(FrictionzooError, match="target=onnx: by_joint remembers what was before"):
+    with pytest.raises(FrictionzooError, match="target=onnx: by_joint has memory"):
         replace(found, model=law, values=values).export("onnx", tmp_path / "onnx")
 
 
@@ -281,7 +281,7 @@ def test_laws_that_remember_are_written_side_by_side(found: fz.Identified, tmp_p
         ({"hip": "stribeck"}, "laws: no pattern of hip fits knee; add one, such as '.*', last"),
         (
             {".*": "dahl", "hip": "lugre"},
-            "laws: hip: no joint for it; hip has the law of a pattern before it; put it first, or",
+            "laws: hip: no joint for it; hip matches an earlier pattern; put this one first, or",
         ),
         ({".*": "dahl", "ankle": "lugre"}, "laws: ankle: no joint for it; expected one of hip, knee, or leave it out"),
         ({"(": "dahl", ".*": "lugre"}, "laws: (: no pattern (missing ), unterminated subpattern at position 0)"),

@@ -160,7 +160,7 @@ def test_what_else_was_recorded_is_given_by_name() -> None:
     [
         ({"parameters": {"mass": torch.ones(1)}}, ConfigError, r"^parameters\.mass: no such parameter of the bench; "),
         ({"parameters": {"kp": torch.ones(2)}}, BenchError, r"^parameters\.kp: shape \(2,\), expected \(1,\)"),
-        ({"signals": {"supply": torch.ones(1)}}, BenchError, r"^signals\.supply: neither law looks at it"),
+        ({"signals": {"supply": torch.ones(1)}}, BenchError, r"^signals\.supply: no model uses it"),
         ({"ctrl": torch.ones(BATCH, TIME, 2)}, BenchError, r"^ctrl has shape \(3, 40, 2\), expected \(3, 40, 1\)"),
         ({"qpos": torch.ones(BATCH)}, BenchError, r"^qpos of shape \(3,\) and ctrl of "),
         ({"law": 2}, BenchError, r"^a law of 2 joints on knee_rod\.xml with 1, expected as many"),
@@ -286,7 +286,7 @@ def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
         fz.law("lugr")
     with pytest.raises(ConfigError, match=r"^hidden: unknown option; expected one of params in model$"):
         fz.law("lugre", hidden=[3])
-    with pytest.raises(ConfigError, match=r"^lugre: unknown option _target_, which would make it another law; "):
+    with pytest.raises(ConfigError, match=r"^lugre: unknown option _target_, which would select another law; "):
         fz.law("lugre", _target_="frictionzoo.models.Baseline")
     for joints in (0, -1):
         with pytest.raises(ConfigError, match=rf"^nv={joints}; expected the number of joints, a whole one from 1 on$"):

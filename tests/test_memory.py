@@ -305,7 +305,7 @@ def test_a_law_whose_memory_does_not_settle_is_refused(
         make("model", "model=maxwell_slip", "bench=emps", "model.elements=0", nv=1)
     law = copy.copy(build("dahl"))
     law.settle = lambda xp, values, state: (0.1 * xp.tanh(state.qvel))[..., None]  # pyright: ignore
-    with pytest.raises(ModelError, match="dahl: memory: settled in motion it still changes"):
+    with pytest.raises(ModelError, match="dahl: memory: in steady motion it still changes"):
         check_model(law)
 
 

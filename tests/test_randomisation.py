@@ -210,7 +210,7 @@ def test_a_law_that_mujoco_lacks_is_refitted_draw_by_draw(another_law: Identifie
         model = mujoco.MjModel.from_xml_path(str(path))
         assert model.dof_frictionloss == found["joint.frictionloss"][number]
         assert model.dof_armature == found["joint.armature"][number]
-        assert "were refitted to the drawn drive's own" in path.read_text()
+        assert "refitted, with the armature, to the drawn drive's own" in path.read_text()
     np.testing.assert_array_equal(
         found["joint.static_friction"], np.maximum(found["friction.static_torque"], found["joint.frictionloss"])
     )

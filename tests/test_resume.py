@@ -128,7 +128,7 @@ def test_a_folder_is_one_process_s_and_what_a_killed_one_began_is_removed(tmp_pa
     foreign.touch()
     with occupy(tmp_path, wait=False):
         assert not part.exists() and foreign.exists()
-        with pytest.raises(RunError, match="another process works in it, expected a folder of this run's own; wait"):
+        with pytest.raises(RunError, match="another process works in it, expected a free folder; wait"):
             occupy(tmp_path, wait=False).__enter__()
     assert sorted(os.listdir(tmp_path)) == [MANIFEST, "checkpoints"]
 

@@ -56,9 +56,9 @@ def test_every_law_says_what_it_sees() -> None:
 def test_a_law_that_says_what_it_does_not_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     model = law("ripple", nv=2)
     for wrong, text in (
-        (("speed",), "it says speed, and its friction changes with position, speed"),
-        (("speed", "position", "load"), "it says load, position, speed, and its friction changes with position, speed"),
-        (("speeed",), "speeed is nothing that friction changes with; did you mean speed"),
+        (("speed",), "it declares speed, but friction depends on position, speed"),
+        (("speed", "position", "load"), "it declares load, position, speed, but friction depends on position, speed"),
+        (("speeed",), "speeed is not a known quantity; did you mean speed"),
     ):
         monkeypatch.setattr(type(model), "sees", wrong)
         with pytest.raises(ModelError, match=text):

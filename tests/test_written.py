@@ -167,7 +167,7 @@ def check(row: Any, text: str, drive: Identified, foot: str = "") -> None:
     error = drive.result["metrics"]["test"]["position_mae"]
     assert error and row["share"] == pytest.approx(mean / error, abs=1e-6)
     assert row["exact"] == (largest < EXACT) == ("represented exactly" in text)
-    assert row["exact"] or f"{mean:.3g} rad in the mean" in text
+    assert row["exact"] or f"{mean:.3g} rad on average" in text
 
 
 @pytest.mark.slow
@@ -231,7 +231,7 @@ def test_a_file_in_longer_steps_says_so(tmp_path: Path) -> None:
     drive = fit(tmp_path / "leg.xml", timestep=STEP / 4, substeps=6, length=40, params={"delay": STEP / 2})
     (_, _), (row, text) = describe(drive)
     assert row["timestep"] == STEP
-    assert row["mean"] > EXACT and "steps of 0.004 s in place of 0.001 s" in row["reason"] and row["reason"] in text
+    assert row["mean"] > EXACT and "steps of 0.004 s instead of 0.001 s" in row["reason"] and row["reason"] in text
     assert any("0.002 s is a filter with the same lag in steps of 0.004 s" in limit for limit in row["limits"])
 
 

@@ -32,7 +32,7 @@ class Drifted:
 
     Attributes:
         record: Content of `drift.json`.
-        drive: The drive as identified from the new recordings; None if they have a certain fault.
+        drive: The drive as identified from the new recordings; None if they have a definite fault.
     """
 
     record: Drift

@@ -36,13 +36,13 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("velocity", "torque"):
             if not (getattr(self, name) > 0).all():
-                raise ConfigError(f"{name}={_say(getattr(self, name))}: expected above 0; without it nothing moves")
+                raise ConfigError(f"{name}={_say(getattr(self, name))}: expected above 0")
         if not (self.low < self.high).all():
             value = f"position=[{_say(self.low)}, {_say(self.high)}]"
             raise ConfigError(f"{value}: expected two numbers, the smaller first")
         if not ((self.low < self.home) & (self.home < self.high)).all():
             raise ConfigError(
-                f"home={_say(self.home)}: expected between {_say(self.low)} and {_say(self.high)}, as position has it"
+                f"home={_say(self.home)}: expected between {_say(self.low)} and {_say(self.high)}, the position limits"
             )
 
     @classmethod
@@ -106,8 +106,8 @@ def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[s
         torque(aside, aside), torque(home, home)
     ):
         raise ConfigError(
-            f"{type(bench.actuator).__name__}: its command is not a position, and nothing would hold the drive within "
-            "its limits; describe the controller that holds it as bench.actuator, PositionPD say"
+            f"{type(bench.actuator).__name__}: its command is not a position, so the drive may leave its limits; set "
+            "bench.actuator to the position controller, such as PositionPD"
         )
     model = bench.compile(constraint=False)
     data = mujoco.MjData(model)
@@ -119,7 +119,7 @@ def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[s
         unit = UNITS[bench.joint_type]
         raise ConfigError(
             f"torque={limits.torque[joint]:g}: holding {bench.joints[joint]} at {home[joint]:.4g} {unit['position']} "
-            f"alone takes {holding_torque[joint]:.4g} {unit['torque']}, expected more than that; raise it, or set home"
+            f"already needs {holding_torque[joint]:.4g} {unit['torque']}, expected more; raise it, or set home"
         )
 
 

@@ -141,14 +141,14 @@ def _number(path: Path, data: Mapping[str, Any], name: str, default: float | Non
     value = data.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         problem = "is missing" if value is None else f"is {value}"
-        raise ConfigError(f"{path}: {name} {problem}, expected a number as model={data['model']} has it; mend the file")
+        raise ConfigError(f"{path}: {name} {problem}, expected a number for model={data['model']}; fix the file")
     return float(value)
 
 
 def _positive(path: Path, data: Mapping[str, Any], name: str) -> float:
     value = _number(path, data, name)
     if value <= 0:
-        raise ConfigError(f"{path}: {name} is {value:g}, expected a positive number; mend the file")
+        raise ConfigError(f"{path}: {name} is {value:g}, expected a positive number; fix the file")
     return value
 
 

@@ -47,7 +47,7 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
   List the models; fit another one by Levenberg-Marquardt
     frictionzoo list models
     frictionzoo model=mujoco_default fit=lm segments.length=1000
-  A real data set, from the folder that FRICTIONZOO_DATA names
+  A real data set, from the folder FRICTIONZOO_DATA
     frictionzoo experiment=emps
   In double precision
     frictionzoo model=dahl dtype=float64
@@ -64,7 +64,7 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo export RUN target=mjcf
     frictionzoo card RUN licence=cc-by-4.0
     frictionzoo distill RUN model=stribeck
-  Check with a new recording whether the drive is still the same
+  Check with a new recording whether the drive has changed
     frictionzoo drift RUN b.csv
   Design the next recording of an identified drive
     frictionzoo design RUN position=1.5 velocity=4 torque=2
@@ -79,7 +79,7 @@ options of a run:
   --hydra-help  flags and settings of Hydra, which composes the options
   --version     print the version
   -sc           install=bash: install shell completion, see docs/
-  Brackets, blanks and $ are quoted for the shell: 'data.train=[a.csv]'.
+  Quote brackets, blanks and $ for the shell: 'data.train=[a.csv]'.
   Comments in conf/ explain each option; docs/ has the manual.
 
 exit status: 0 done; 2 refused, or a job failed: one line says why; 3 done,

@@ -23,7 +23,7 @@ def explain(error: Exception, overrides: Sequence[str] = ()) -> str | None:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or 'the disk'}: {error.strerror}; free space or set hydra.run.dir to another folder"
     if isinstance(error, MemoryError):
-        return f"out of memory ({' '.join(str(error).split()) or 'nothing is free'}); lower the sizes that were set"
+        return f"out of memory ({' '.join(str(error).split()) or 'nothing is free'}); lower the sizes that you set"
     return missing_plugin(error)
 
 
@@ -47,7 +47,7 @@ def _explain_refusal(text: str, overrides: Sequence[str]) -> str:
         return _explain_unknown(unknown[1], overrides)
     unfit = re.fullmatch(r"Error merging override (.*)", text.strip())
     if unfit:
-        return f"{unfit[1]}: expected a value or a section like the one that it replaces; compare with --cfg all"
+        return f"{unfit[1]}: expected a value or section like the one it replaces; compare with --cfg all"
     return " ".join(text.split())
 
 
@@ -67,7 +67,7 @@ def _explain_unknown(option: str, overrides: Sequence[str]) -> str:
             return f"{option}: unknown option{job}; {suggest_option(option, config)}"
     # Hydra first checks a sweep as a whole, with the default of each swept group.
     group = option.partition(".")[0]
-    return f"{option}: each job of this sweep has it, the default {group} does not; write ++{option}=VALUE"
+    return f"{option}: the jobs of this sweep have it, but not the default {group}; write ++{option}=VALUE"
 
 
 def _has(section: Any, option: str) -> bool:

@@ -18,8 +18,8 @@ _HELP = {
         "recordings and held-out errors, as a page and for programs, with MJCF. frictionzoo.load reads it.",
         """options: licence=ID, required, the card's licence as model hubs name it: cc-by-4.0, apache-2.0; name=TEXT,
         its title; supply=TEXT, temperature=TEXT, payload=TEXT, conditions of the recording, not stated by default;
-        output=FOLDER, by default card in the run's folder. For a run that evaluated published values: bam=FILE, BAM's
-        parameter file with them, and source=TEXT, who published it and where.""",
+        output=FOLDER, by default card in the run's folder. For a run that evaluated published values: bam=FILE, their
+        BAM parameter file, and source=TEXT, who published it and where.""",
     ),
     "compare": (
         "",
@@ -31,16 +31,16 @@ _HELP = {
         "limits",
         "Design the next command to record, with maximal information within limits; verify it in MuJoCo C, and predict "
         "the accuracy of each parameter. RUN is the folder of a finished run, whose values describe the drive; without "
-        "it, initial values do.",
+        "RUN, the initial values do.",
         """options: position=REACH or [LOW,HIGH], velocity=, torque=, limits of the drive, in rad, rad/s and N m, or m,
-        m/s and N; home, where it rests; seconds, rate, ramp, period, bandwidth, margin; quantum, position_noise and
+        m/s and N; home, the rest position; seconds, rate, ramp, period, bandwidth, margin; quantum, position_noise and
         velocity_noise of the sensors; criterion=determinant or worst, starts, iterations, seed; points and fps of the
         files for ROS 2 and LeRobot; inputs.NAME=VALUE; output=FOLDER; without RUN also bench=NAME, model=NAME and
         their options.""",
     ),
     "distill": (
         "model=NAME",
-        "Fit another model to the identified drive of a run under the recorded commands, and print the loss of "
+        "Fit another model to the identified drive of a run with the recorded commands, and print the loss of "
         "accuracy on held-out recordings.",
         """options: model=NAME; output=FOLDER, by default distilled/NAME in the run's folder; and fit options of a run,
         such as fit, model.*, fit.*, segments.*, loop.*, seed. Defaults come from the run, except fit=auto and segments
@@ -48,7 +48,7 @@ _HELP = {
     ),
     "drift": (
         "data.KEY=VALUE",
-        "Check whether a drive is still the same: identify it again from new recordings, with the settings of RUN, and "
+        "Check whether a drive has changed: identify it again from new recordings, with the settings of RUN, and "
         "compare each parameter. Exit status: 0 unchanged, 4 changed, 3 cannot tell, 2 refused.",
         """options: data.*, how to read the recordings, by default as in RUN; alarm=0.01, probability of a false alarm,
         over all parameters together; smallest=0.01, smallest change that counts, as a share; output=FOLDER, for
@@ -57,7 +57,7 @@ _HELP = {
     "export": (
         "target=NAME",
         "Export the identified drive of a run to another program, run the export there, and print its distance from "
-        "the fitted drive and what it cannot represent.",
+        "the fitted drive and its limits.",
         """options: target=NAME or target=all; timestep=SECONDS and integrator=NAME of the simulator (Euler,
         implicitfast or RK4), by default as in the model file; output=FOLDER, by default export/NAME in the run's
         folder; and options of the target.""",

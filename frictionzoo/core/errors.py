@@ -18,7 +18,7 @@ class LogError(FrictionzooError):
 
 
 class FaultError(LogError):
-    """Recording with a certain fault, found before the fit."""
+    """Recording with a definite fault, found before the fit."""
 
 
 class BenchError(FrictionzooError):

@@ -130,8 +130,8 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
     except Timeout:
         if not wait:
             raise RunError(
-                f"{show_path(folder)}: another process works in it, expected a folder of this run's own; wait until "
-                "that one has ended, or set hydra.run.dir to another folder"
+                f"{show_path(folder)}: another process works in it, expected a free folder; wait until it has ended, "
+                "or set hydra.run.dir to another folder"
             ) from None
         _log.info("waiting for the process that works in %s", folder)
         lock.acquire()

@@ -112,7 +112,7 @@ KINDS = {
     for kind in (
         Kind("models", "friction model", "frictionzoo.models", "register_model", "model={name}", offered=True),
         Kind(
-            *("actuators", "actuator law", "frictionzoo.bench.actuators", "register_actuator"),
+            *("actuators", "actuator model", "frictionzoo.bench.actuators", "register_actuator"),
             *("bench.actuator._target_={target}", True),
         ),
         Kind("sources", "data source", "frictionzoo.data", "register_source", "data={name}"),

@@ -46,6 +46,6 @@ def limit_threads(threads: int | None) -> None:
         raise ConfigError(f"threads={threads}; expected 1 or more and at most {MOST_THREADS}, or null for all cores")
     wanted = str(threads)
     if "jax" in sys.modules and os.environ.get(_VARIABLES[0]) != wanted:
-        _log.warning("threads=%s comes too late: what the first job of this process took holds for all", wanted)
+        _log.warning("threads=%s has no effect: the first job of this process set the number for all", wanted)
         return
     os.environ.update(dict.fromkeys(_VARIABLES, wanted))

@@ -200,7 +200,7 @@ def _even_out(piece: Recording) -> Recording:
     slope, start = np.polyfit(samples, piece.time, 1)
     if np.abs(piece.time - start - slope * samples).max() > ROUNDED * step:
         return piece
-    sentence = f"{TIMES_ROUNDED} {step:.4g} s: replaced by even times, {slope:.6g} s apart"
+    sentence = f"{TIMES_ROUNDED} {step:.4g} s: replaced by uniform times, {slope:.6g} s apart"
     return replace(piece, time=start + slope * samples).say(sentence)
 
 

@@ -142,13 +142,13 @@ class Files(Source):
         held_out = {table.name for table in test}
         shared = [table.name for table in train if table.name in held_out]
         if shared:
-            raise LogError(f"{shared[0]}: in data.train and in data.test; expected test recordings that do not train")
+            raise LogError(f"{shared[0]}: in data.train and in data.test; expected each recording in one of them")
         recordings = self._interpret(self.selection.keep(train + test))
         training = [recording for recording in recordings if recording.name not in held_out]
         testing = [recording for recording in recordings if recording.name in held_out]
         if not training or (held_out and not testing):
             part = "test" if training else "train"
-            raise LogError(f"{self.name}: data.where and data.exclude leave no recording to {part}")
+            raise LogError(f"{self.name}: data.where and data.exclude leave no {part} recording")
         return training, testing
 
     def _find(self, entry: Entry) -> list[dict[str, str]]:
@@ -225,8 +225,8 @@ class Files(Source):
                 raise ConfigError(f"{setting}: {len(sign)} signs, {expected} of {recording.name}")
             if not columns.listed and has_names(columns.headers):
                 raise ConfigError(
-                    f"{setting}: one sign a column, and the columns of {recording.name} are found by their names; set "
-                    f"data.columns.{signal} to them in the order of the signs"
+                    f"{setting}: one sign per column, but the columns of {recording.name} are matched by name; list "
+                    f"them in data.columns.{signal} in the order of the signs"
                 )
         return np.asarray(sign) * values
 
@@ -282,7 +282,7 @@ class Files(Source):
         dropped = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
         if not kept:
             raise LogError(
-                f"{dropped[0]}: cleaning leaves nothing of it, nor of {len(dropped) - 1} others; expected "
+                f"{dropped[0]}: cleaning removes all of it and of {len(dropped) - 1} others; expected "
                 f"{self.clean.shortest:g} s (data.clean.shortest) without gaps and NaN, and no spikes with "
                 "data.clean.spikes=drop; check the file or change data.clean"
             )

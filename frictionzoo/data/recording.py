@@ -121,4 +121,4 @@ def refuse_incomplete(recording: Recording) -> None:
         sample = int(np.argmin(np.isfinite(recording.time)))
         raise LogError(f"{name}: time is NaN or infinite at sample {sample}, expected seconds; cut or repair the file")
     if samples < 2 or not (np.diff(recording.time) > 0).any():
-        raise LogError(f"{name}: {samples} samples at one time, expected at least 2 in a row; check data.columns.time")
+        raise LogError(f"{name}: {samples} samples at one time, expected at least 2 times; check data.columns.time")

@@ -87,7 +87,7 @@ def find_outliers(signal: Signal) -> Bool[np.ndarray, "time"]:
 
 
 def find_wrap(position: Signal) -> float | None:
-    """Return the period by which a position jumps although it moves on; None if it does not jump.
+    """Return the period with which a position wraps; None if it does not wrap.
 
     Motion beside a jump is small and goes the other way. A period near a turn in radians, degrees, turns or ticks is
     that turn; another one must occur twice.

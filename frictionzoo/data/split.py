@@ -45,7 +45,7 @@ class Split:
                 f"data.split.test={self.test} with by=time; expected by=file or a field, as in by=kp test=[16]"
             )
         if self.by != "time" and not self._tested:
-            raise ConfigError(f"data.split.test=[] with by={self.by}; expected names or values that test")
+            raise ConfigError(f"data.split.test=[] with by={self.by}; expected names or values of test recordings")
 
     @property
     def _tested(self) -> list[Any]:
@@ -64,8 +64,8 @@ class Split:
             return self._divide_by_time([log for cleaned in logs for log in cleaned])
         is_test = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
         if is_test.all():
-            problem = f"data.split.by={self.by} test={self.test}: all {len(is_test)} recordings test"
-            raise LogError(f"{problem}, none is left to train; select fewer")
+            problem = f"data.split.by={self.by} test={self.test}: all {len(is_test)} recordings are test recordings"
+            raise LogError(f"{problem}, none remain for training; select fewer")
         train, test = [], []
         for chosen, cleaned in zip(is_test, logs, strict=True):
             (test if chosen else train).extend(cleaned)
@@ -86,7 +86,7 @@ class Split:
         if errors and not test:
             raise errors[0]
         for error in errors:
-            _log.warning("%s; all of it trains", error)
+            _log.warning("%s; all of it is training data", error)
         return train, test
 
     def _choose_by_field(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:

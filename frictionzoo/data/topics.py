@@ -91,4 +91,4 @@ def _refuse_apart(name: str, clocks: Mapping[str, Real[np.ndarray, "_"]]) -> Non
     shared = min(last for _, last in spans.values()) - max(first for first, _ in spans.values())
     if shared < OVERLAP * max(last - first for first, last in spans.values()):
         listed = ", ".join(f"{clock} from {first:.9g} to {last:.9g}" for clock, (first, last) in spans.items())
-        raise LogError(f"{name}: {listed}; expected times of one clock in one unit, write them so")
+        raise LogError(f"{name}: {listed}; expected times of one clock in one unit; convert them")

@@ -97,7 +97,7 @@ def design(
         vectors = vectors + cast(Array, updates)
     losses, initial = (np.asarray(value, np.float64) for value in (best, first))
     if not np.isfinite(losses).any():
-        raise ConfigError("no command moves this drive within these limits; raise them, or doubt the bench")
+        raise ConfigError("no command moves this drive within these limits; raise them, or check the bench")
     chosen = int(np.nanargmin(losses))
     return Optimum(np.asarray(optima)[chosen] * size[chosen], np.where(np.isfinite(losses), losses, np.nan), initial)
 
@@ -160,6 +160,6 @@ def scale_within(
         factor *= min(used**-1.2, 0.999) if np.isfinite(used) else 0.5
     if not used <= 1 or np.abs(motion.qvel).max() < _LEAST * limits.velocity.max():
         raise ConfigError(
-            "the drive does not move within these limits: what holds it and its friction take all of torque; raise it"
+            "the drive does not move within these limits: holding it and friction need the whole torque; raise it"
         )
     return factor * coefficients, information

@@ -114,15 +114,17 @@ def prepare(request: Request, run: FittedDrive | None) -> Task:
         model.double()
     bench = bench.observing(model.inputs)
     if isinstance(model, TorchFriction):
-        raise ConfigError(f"{model.name} exists only in torch, with no exact sensitivities; take a law over xp")
+        raise ConfigError(f"{model.name} exists only in torch, with no exact sensitivities; use another model")
     interval = 1 / request.plan.rate if request.plan.rate else bench.timestep
     bench.check_interval(interval, f"rate={1 / interval:g}")
     constants = _pick_inputs(bench, request.inputs, run)
     space = Space(bench, model, "float64")
     if space.weights:
-        raise ConfigError(f"{model.name}: a network, whose weights no recording determines; take a law with parameters")
+        raise ConfigError(
+            f"{model.name}: a network, whose weights no recording determines; use a model with parameters"
+        )
     if not space.names:
-        raise ConfigError("nothing is identified, expected parameters to learn of; set identify=true of some")
+        raise ConfigError("nothing is identified, expected identified parameters; set identify=true for some")
     sampling = bench.sampling(interval)
     drive = Drive.assemble(bench, model, settings["engine"], sampling)
     if not drive.engine.reverse:

@@ -54,7 +54,7 @@ def check_work(bench: Bench, joint: int, share: float) -> Iterator[Finding]:
         message += "data.clean.command_lag)"
         yield Finding("bad", "work", message, repairs=turn(joint, "ctrl"))
     else:
-        message = f"{text}: correct if gravity or other joints move it, else check its sign (data.sign.ctrl)"
+        message = f"{text}: correct if gravity or other joints move it; otherwise check data.sign.ctrl"
         yield Finding("caution", "work", message)
 
 

@@ -58,7 +58,7 @@ def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:
         back = min(float(np.mean(moving > 0)), float(np.mean(moving < 0)))
         slow, fast = np.quantile(np.abs(moving), [0.1, 0.9])
         if back < ONE_WAY:
-            text = f"the motion{of} never reverses ({100 * back:.2g} % of it goes the other way): dry friction and a "
+            text = f"the motion{of} hardly reverses ({100 * back:.2g} % in the other direction): dry friction and a "
             text += "constant torque cannot be distinguished; record both directions and list them in data.train"
             yield Finding("caution", "one way", text, joint=name)
         if fast < ONE_SPEED * slow:

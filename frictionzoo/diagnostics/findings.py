@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from frictionzoo.core.errors import ConfigError, FaultError, closest
 
 CHECKUPS = ("strict", "warn")
-"""Treatment of certain faults: `strict` refuses them, `warn` reports them like likely ones."""
+"""Treatment of definite faults: `strict` refuses them, `warn` reports them like likely ones."""
 
 
 class Repair(NamedTuple):
@@ -29,7 +29,7 @@ class Finding:
     """Outcome of one check of recordings, of their bench or of a result.
 
     Attributes:
-        state: `good`; `note`; `caution` for a problem or a likely fault; `bad` for a severe problem or a certain fault.
+        state: `good`; `note`; `caution` for a problem or a likely fault; `bad` for a severe problem or definite fault.
         title: What was checked, the same in all recordings.
         text: Outcome; of a fault the value, the expected value, and the option that repairs it.
         option: Option to add to the command line; None for none.
@@ -74,7 +74,7 @@ def turn(joint: int, *signals: str) -> tuple[Repair, ...]:
 
 
 def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Finding]:
-    """Refuse certain faults if `strict`, and return the others, each kind once per joint.
+    """Refuse definite faults if `strict`, and return the others, each kind once per joint.
 
     `findings` begin with the most important one; `count` is the number of recordings.
 

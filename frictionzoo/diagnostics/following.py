@@ -119,8 +119,8 @@ def check_asked(log: Log, of: str, joint: int) -> Iterator[Finding]:
     if np.ptp(ctrl) > 0:
         likeness = compare(log.qpos[:, joint], ctrl, log.timestep, np.ones(log.samples, bool)).between(0.0, LATE)
         if likeness.correlation.max() > COPIES and abs(likeness.scale[likeness.best] - 1) < ABOUT:
-            text = f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
-            text += f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the "
+            text = f"qpos{of} follows ctrl like a desired position (correlation {likeness.correlation.max():.3f}, "
+            text += f"ratio {likeness.scale[likeness.best]:.2f}), expected a torque or force: choose the "
             text += "bench of these recordings (bench=NAME) or a position actuator (bench.actuator._target_)"
             yield Finding("caution", "asked", text)
 
@@ -159,11 +159,11 @@ def _check_size(of: str, found: Followed, slide: bool) -> Iterator[Finding]:
     qpos, ctrl = found.qpos[found.on], found.ctrl[found.on]
     moved, asked, apart = np.ptp(qpos), np.ptp(ctrl), float(np.abs(qpos - ctrl).min())
     if scale > LARGER or scale < 1 / SMALLER:
-        text = f"qpos{of} moves by {moved:.3g} while ctrl spans {asked:.3g}, {scale:.4g} times as far: "
+        text = f"qpos{of} spans {moved:.3g} and ctrl {asked:.3g}, ratio {scale:.4g}: "
         text += f"set {_mend(scale, slide)}"
         yield Finding("bad" if scale > LARGER or scale < 1 / FAR_SMALLER else "caution", "size", text)
     elif apart > APART * max(moved, asked):
-        text = f"qpos{of} and ctrl differ by {apart:.3g} or more over a motion of {max(moved, asked):.3g}: check that "
+        text = f"qpos{of} and ctrl differ by at least {apart:.3g}, for a motion of {max(moved, asked):.3g}: check that "
         text += "both have the same zero (bench.params.position_offset)"
         yield Finding("caution", "zero", text)
 

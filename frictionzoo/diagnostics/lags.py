@@ -85,7 +85,7 @@ def find_drift(found: list[tuple[float, float] | None]) -> Finding | None:
     scatter = float(np.abs(lags - (start + slope * when)).max())
     first, last = (float(start + slope * when[index]) for index in (0, -1))
     text = f"the motion lags ctrl by {1e3 * first:.0f} ms at the start and by {1e3 * last:.0f} ms at the end: their "
-    text += "clocks drift apart; record both with one clock and name its column (data.columns.time), or cut the "
+    text += "clocks drift; record both with one clock and name its column (data.columns.time), or cut the "
     text += "recording into pieces"
     return Finding("caution", "drift", text) if abs(last - first) > max(DRIFT, scatter / STEADY) else None
 

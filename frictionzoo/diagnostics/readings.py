@@ -40,7 +40,7 @@ def check_readings(log: Log, bench: Bench, model: mujoco.MjModel) -> Iterator[Fi
         # A hanging leg moves like its mirror image: several readings may be equally good.
         sentences = [sentence for new, old, sentence, _ in sorted(better) if new < AS_GOOD * after and old == before]
         text = "the actuators' torque matches the torque that the links need much better (unexplained share "
-        text += f"{before:.2g}, then {after:.2g}, summed over coupled joints) if {'; or if '.join(sentences)}"
+        text += f"{after:.2g} instead of {before:.2g}, summed over coupled joints) if {'; or if '.join(sentences)}"
         yield Finding("caution", "reading", text, log=log.name, repairs=repairs)
 
 
@@ -48,8 +48,8 @@ def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Lo
     """Yield alternative readings: joint, sentence with the repair, change of the recording, and options (if any)."""
     for joint, name in enumerate(bench.joints):
         sign = np.where(np.arange(bench.nv) == joint, -1, 1)
-        text = f"{name} turns the other way: set data.sign.qpos, data.sign.qvel and data.sign.ctrl="
-        text += f"[{','.join(map(str, sign))}], or turn its axis in the MJCF"
+        text = f"{name} is reversed: set data.sign.qpos, data.sign.qvel and data.sign.ctrl="
+        text += f"[{','.join(map(str, sign))}], or reverse its axis in the MJCF"
         yield joint, text, partial(_turn, sign), turn(joint, "qpos", "qvel", "ctrl")
         for other in range(joint):
             if bench.branches[joint] == bench.branches[other]:

@@ -98,7 +98,7 @@ def _find_still(of: str, qpos: Signal, ctrl: Signal, alone: bool) -> Finding | N
     if not alone and np.ptp(ctrl) <= 1e-6 * max(1.0, float(np.abs(ctrl).max())):  # other joints may move meanwhile
         text = f"qpos{of} and its command are constant: this recording does not contain information on this joint"
         return Finding("note", "still", text)
-    text = f"qpos{of} moves by {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; check "
+    text = f"qpos{of} spans only {moved:.3g}, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; check "
     text += "whether it was on, and data.columns.qpos"
     return Finding("bad", "still", text)
 
@@ -144,7 +144,7 @@ def _find_frozen(of: str, qpos: Signal) -> Iterator[Finding]:
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         if last - first >= FROZEN and last < len(steps) and steps[last] > max(JUMP * usual, 3 * quantum):
             text = f"qpos{of} is constant from sample {first} on and jumps by {steps[last]:.3g} at sample {last + 1}: "
-            text += "the sensor seems to freeze; cut this part out of the recording"
+            text += "the sensor seems frozen; remove this part of the recording"
             yield Finding("caution", "frozen", text)
             return
 
@@ -183,8 +183,8 @@ def _check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -
     estimate, repairs = "set data.clean.velocity=estimated", (Repair("data.clean.velocity", "estimated"),)
     if joint in log.without_velocity:
         if not log.velocity_estimated:
-            hint = "if another column has it, set data.columns.qvel"
-            text = f"the recorded velocity{of} is not used, but estimated from qpos; {hint}"
+            hint = "if another column has the velocity, set data.columns.qvel"
+            text = f"the velocity{of} is estimated from qpos, not read from the recording; {hint}"
             yield Finding("caution", "velocity", text)
         return
     if not np.ptp(qvel) > 0:
@@ -194,7 +194,7 @@ def _check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -
     lag_and_scale = find_velocity_lag(log.time, qpos, qvel)
     if lag_and_scale is None and find_velocity_lag(log.time, qpos, -qvel) is not None:
         text = f"qvel{of} and the position's derivative have opposite signs, expected the same; set data.sign.qvel=-1, "
-        text += "or data.sign.qpos=-1 if that suits the command"
+        text += "or data.sign.qpos=-1 if this matches the command"
         yield Finding("bad", "velocity sign", text)
     elif lag_and_scale is None and len(qpos) > SHORT:
         derived = derive_velocity(log.time, qpos)

@@ -63,7 +63,7 @@ def _check_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterato
 
 def _check_origin(data: Mapping[str, Any]) -> Finding:
     if data["origin"] == "simulated":
-        return Finding("note", "Simulated data", "The data are simulated: they show nothing about hardware.")
+        return Finding("note", "Simulated data", "The data are simulated, not from hardware.")
     if data["origin"] == "hardware":
         return Finding("good", "Hardware data", "Recorded on hardware, according to data.origin.")
     text = "Your recordings. data.origin does not state whether they come from hardware."
@@ -81,7 +81,7 @@ def _check_clock(timing: Mapping[str, Any]) -> Finding:
         text = f"{100 * jitter['median']:.2g} % of a recording's intervals (median) differ by more than "
         text += f"{100 * JITTER:g} % from the median interval, by up to {100 * timing['worst']['high']:.0f} %. "
     if differ:
-        text += f"Median intervals range from {low:.4g} to {high:.4g} ms; recordings in one fit need the same. "
+        text += f"Median intervals range from {low:.4g} to {high:.4g} ms; one fit needs the same interval. "
     step = float(f"{interval['median']:.2g}")  # rounded as a user would write it
     return Finding("caution", "Clock", f"{text}Resample them.", f"data.clean.step={step:g}")
 
@@ -118,7 +118,7 @@ def _check_resolution(joint: Mapping[str, Any], interval: float, unit: str) -> F
 def _check_wrap(joint: Mapping[str, Any]) -> Iterator[Finding]:
     wrap = joint["wrap"]
     if wrap is not None:
-        text = f"The position jumps by {wrap['median']:.6g} and moves on: it wraps."
+        text = f"The position wraps, with a period of {wrap['median']:.6g}."
         if wrap["median"] != math.tau:
             text += " If this is a whole turn, data.units.qpos must make it 6.28319."
         yield Finding("caution", "Wrap", text, "data.clean.wrap=auto")
@@ -143,7 +143,7 @@ def _check_lag(joint: Mapping[str, Any], interval: float) -> Finding:
         text = "The measured velocity does not match the position's derivative at any delay."
         return Finding("caution", "Velocity", text, estimate)
     if abs(lag["median"]) < max(0.5 * interval, 0.001):
-        return Finding("good", "Velocity", "The measured velocity has no lag against the position.")
+        return Finding("good", "Velocity", "The measured velocity does not lag the position.")
     text = f"The measured velocity {'lags' if lag['median'] > 0 else 'leads'} the position's derivative by "
     text += f"{1e3 * abs(lag['median']):.3g} ms. Estimate it from the position, or shift it with "
     return Finding("caution", "Velocity", f"{text}data.clean.velocity_lag=auto.", estimate)

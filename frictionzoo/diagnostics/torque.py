@@ -62,7 +62,7 @@ def check_recorded(log: Log, bench: Bench, model: mujoco.MjModel) -> Iterator[Fi
         suits = [unit for unit, found in others.items() if _suits(found[joint])]
         if suits or one.error < KNOWN * abs(one.share):
             text = f"the recorded torque{of} is {one.share:.3g} times the torque that gravity "
-            text += "and inertia need for the motion, expected about 1: their units disagree; set "
+            text += "and inertia need for the motion, expected about 1: their units differ; set "
             text += f"data.units.qpos={suits[0]} (also for qvel and a desired position)" if suits else "data.units.qpos"
             text += ", or data.units.torque and data.sign.torque, or check the links' masses"
             yield Finding(

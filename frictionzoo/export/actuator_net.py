@@ -77,13 +77,13 @@ class ActuatorNet(Target):
             write_config(fitted, folder, name, nearest, files)
         loaded = [load_script(folder / f"{file.name}.pt") for file in files]
         qpos, rows = roll(fitted, nearest, drives, files, loaded)
-        reason = ", ".join(list_lacks(fitted, nearest, HELD)) or "another history before a rollout"
+        reason = ", ".join(list_lacks(fitted, nearest, HELD)) or "a different history before the rollout"
         position = measure("qpos", fitted, qpos, fitted.rollout()[0], reason=reason)
         torques = [
             compare_onnx(fitted, folder / f"{file.name}.onnx", run, inputs)
             for file, run, inputs in zip(files, loaded, rows, strict=True)
         ]
-        step = f"The network belongs to simulation steps of {fitted.timestep:g} s, in which it was trained."
+        step = f"The network is valid for simulation steps of {fitted.timestep:g} s, as in its training."
         limits = (*LIMITS, step, *say_common(fitted, nearest, inputs, HELD))
         names = [f"{file.name}.{ending}" for file in files for ending in ("pt", "onnx")]
         return Export((*names, *CONFIGS), (position, *torques), limits)

@@ -28,8 +28,8 @@ from frictionzoo.result.fitted_drive import FittedDrive
 
 _LONGEST = 200  # characters of a file name
 _AT_ONCE = 1e3  # faster than any command [rad/s]: otherwise BAM's STS3215 follows commands at its default speed
-_INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
-KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
+_INPUTS = "Supply and gain are not in the file: BAM reads them from its logs, or as vin and kp."
+KT = "Only kt / R and kt^2 / R are identified: kt and R match these ratios, not a data sheet."
 _VISCOUS = {"friction_viscous": "viscous_coefficient"}
 _SMOOTH: Mapping[str, tuple[str, Mapping[str, str]]] = {
     "coulomb_smooth": ("m1", {"friction_base": "static_torque", **_VISCOUS}),
@@ -121,10 +121,10 @@ def to_bam(fitted: FittedDrive) -> tuple[list[dict[str, Any]], list[str], list[s
     laws = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
     names = [fitted.model.of_joint(joint)[0].name for joint in range(fitted.bench.nv)]
     others = [joint for joint, law in enumerate(laws) if law is None]
-    remarks, lacks = list[str](), ["friction follows the torques of the step before"]
+    remarks, lacks = list[str](), ["friction uses the torques of the previous step"]
     lacks += [f"m3 cannot represent {name}" for name in dict.fromkeys(names[joint] for joint in others)]
     if any(name in _SMOOTH and law for name, law in zip(names, laws, strict=True)):
-        remarks.append("BAM's joint sticks at rest, where the law's smooth sign lets it creep.")
+        remarks.append("BAM's joint sticks at rest; with the model's smooth sign it creeps.")
         lacks.append("it sticks at rest")
     if others:
         nearest, nearest_remarks = _nearest(fitted, others)
@@ -161,7 +161,7 @@ def _nearest(fitted: FittedDrive, joints: Sequence[int]) -> tuple[dict[int, dict
     listed = ", ".join(f"{rms:.3g}" for rms in residuals)
     return laws, [
         f"BAM has no {names}: m3 was fitted to its torque at the recorded states, by least squares with "
-        f"all terms >= 0, and leaves {listed} N m RMS of {size:.3g} N m."
+        f"all terms >= 0; RMS residual {listed} N m of {size:.3g} N m."
     ]
 
 
@@ -186,7 +186,9 @@ def _choose_actuator(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[s
     if requested is not None and requested not in DUTY:
         raise ConfigError(f"servo={requested}: unknown; {closest(requested, DUTY)}")
     chosen = requested or min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
-    remarks = [] if requested else [f"servo={chosen} was taken for its gain; give its name in BAM if it is another."]
+    remarks = (
+        [] if requested else [f"servo={chosen} was chosen by its gain; set servo to another name in BAM if wrong."]
+    )
     if chosen != "sts3215" and not np.isclose(gain, DUTY[chosen][0], rtol=1e-3):
         remarks.append(f"BAM's {chosen} has a duty cycle of {DUTY[chosen][0]:.4g} per radian and gain, not {gain:.4g}.")
     limit = float(fitted.values["bench"]["duty_limit"][0])

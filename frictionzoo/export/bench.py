@@ -32,16 +32,16 @@ def say_limits(fitted: FittedDrive, nearest: Nearest, timestep: float | None = N
     law, limits = fitted.bench.actuator, [nearest.remark] if nearest.remark else []
     limits += say_delay(fitted, fitted.timestep if timestep is None else timestep)
     if not law.needs_state and any(np.any(fitted.segments.signals.inputs[name]) for name in fitted.sampling.commands):
-        limits.append("`ctrl` is the command plus (kd ctrl_velocity + ctrl_torque) / kp, as the recordings have them.")
+        limits.append("`ctrl` is the command plus (kd ctrl_velocity + ctrl_torque) / kp, as in the recordings.")
     if law.needs_state:
         delay = (
-            f", from commands that are {list_values(fitted.values['bench']['delay'])} s late"
+            f", from commands delayed by {list_values(fitted.values['bench']['delay'])} s"
             if "delay" in fitted.bench.params
             else ""
         )
         limits.append(
-            f"MuJoCo's actuator has no {type(law).__name__}: `ctrl` is what the law's controller makes of the command, "
-            f"and the caller computes it in each step{delay}, as for the difference above; target=mujoco writes it."
+            f"MuJoCo's actuator has no {type(law).__name__}: `ctrl` is the controller's output, which the caller "
+            f"computes in each step{delay}, as in the comparison above; target=mujoco writes the code."
         )
     if fitted.bench.payload is not None:
         limits.append(PAYLOADS)
@@ -56,9 +56,9 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest, timestep: float) -> list[s
     continuous = fitted.is_simulated
     drive_timestep = fitted.origin.timestep if fitted.origin is not None and not continuous else fitted.timestep
     if not np.isclose(timestep, drive_timestep, rtol=1e-6):
-        lacks.append(f"steps of {timestep:g} s in place of {drive_timestep:g} s")
+        lacks.append(f"steps of {timestep:g} s instead of {drive_timestep:g} s")
     elif continuous:
-        lacks.append(f"steps of {timestep:g} s in place of continuous time")
+        lacks.append(f"steps of {timestep:g} s instead of continuous time")
     return lacks
 
 
@@ -76,5 +76,5 @@ def say_delay(fitted: FittedDrive, timestep: float) -> list[str]:
     listed = ", ".join(dict.fromkeys(f"{delay:.4g}" for _, delay in filtered))
     return [
         f"MuJoCo's actuators delay commands by one step or more: the delay of {listed} s{joints} is a filter with the "
-        f"same lag in steps of {timestep:g} s. Its `act` begins at 0: set `act` to `ctrl` where a simulation is reset."
+        f"same lag in steps of {timestep:g} s. Its `act` begins at 0: set `act` to `ctrl` when you reset a simulation."
     ]

@@ -132,11 +132,11 @@ class _Law:
             f"Gain {self.gain:g}, dead band {list_values(self.band)} {units['velocity']}, limit "
             f"{list_values(self.limit)} {units['torque']}: {100 * (1 - np.sqrt(left)):.1f} % of the friction (RMS) is "
             "cancelled at the recorded states above the dead band.",
-            "A controller that acts late compensates late: it drives a joint for that time after each reversal. Take a "
+            "A controller with delay compensates late: it drives a joint for this time after each reversal. Use a "
             "smaller gain or a larger dead_band for a delay of several control steps.",
         ]
         if self.share is not None:
-            share = f"A slow joint gets back at most {100 * self.share:.3g} % of its friction"
+            share = f"At low speed at most {100 * self.share:.3g} % of the friction is cancelled"
             at_rest = "so the torque alone moves none" if model.constraint else "a start from rest was not checked"
             said.append(f"{share}; {at_rest}.")
         else:

@@ -120,5 +120,5 @@ class GraphFile(Target):
         limits = [*LIMITS, *self.remarks]
         if model.inputs:
             names = ", ".join(model.inputs)
-            limits.insert(2, f"Besides, the inputs {names} of the same shape: the friction law looks at them too.")
+            limits.insert(2, f"Additional inputs of the friction model, of the same shape: {names}.")
         return Export((self.file,), (compare(fitted, terms, self.runtime),), tuple(limits))

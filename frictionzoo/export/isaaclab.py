@@ -15,15 +15,15 @@ VERSIONS = "2.3 to 3.0"
 """Oldest and newest version of Isaac Lab with which the written files were tested."""
 PHYSICS = ("physx", "newton")
 _PHYSX = (
-    "With PhysX, friction and dynamic_friction are efforts, as of Isaac Sim 5; before, friction was a coefficient "
-    "without unit, and there was no other.",
-    "PhysX holds a joint at rest up to `friction`, and while it moves `dynamic_friction` acts; the difference is that "
-    "of dynamic_friction alone, in MuJoCo's softer constraint.",
-    "For Isaac Lab 3 on Newton, which has one dry friction and takes `friction` for it, write physics=newton.",
+    "With PhysX, friction and dynamic_friction are efforts since Isaac Sim 5; before, friction was a dimensionless "
+    "coefficient, without dynamic_friction.",
+    "PhysX holds a joint at rest up to `friction`; in motion, `dynamic_friction` acts. The difference is computed with "
+    "dynamic_friction alone, in MuJoCo's softer constraint.",
+    "For Isaac Lab 3 on Newton, which has one dry friction, `friction`, set physics=newton.",
 )
 _NEWTON = (
-    "`friction` is the dry friction of Newton's MuJoCo solver, whose constraint has the robot's solreffriction; with "
-    "PhysX it would be that at rest: write physics=physx.",
+    "`friction` is the dry friction of Newton's MuJoCo solver, whose constraint has the robot's solreffriction; in "
+    "PhysX it is the friction at rest: set physics=physx.",
 )
 
 

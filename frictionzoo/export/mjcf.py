@@ -161,10 +161,10 @@ def _play_robot(
     robot: Equipped, fitted: FittedDrive, nearest: Nearest, expected: Prediction, path: Path, bench: str, why: list[str]
 ) -> tuple[Deviation | None, tuple[str, ...]]:
     if robot.unknown:
-        reason = f"MuJoCo does not take the inertia of {name_some(robot.unknown)}, or does not find its mesh"
-        return None, (f"It is not played: {reason}.",)
+        reason = f"MuJoCo rejects the inertia of {name_some(robot.unknown)}, or does not find its mesh"
+        return None, (f"It is not simulated: {reason}.",)
     if coupled := list_coupled(robot):
-        return None, (f"It is not played: {name_some(coupled)} were not identified and pull at a tendon.",)
+        return None, (f"It is not simulated: a tendon connects {name_some(coupled)}, which were not identified.",)
     model, place = mount(robot, fitted, nearest, path, bench)
     if _is_clipped(model, fitted, place):
         why = [*why, "ctrlrange of the robot's own actuators"]
@@ -178,7 +178,7 @@ def _list_remarks(
 ) -> list[str]:
     """List the sentences of a file's comment, except the one on the friction model."""
     return [
-        f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {fitted.integrator}.",
+        f"Its parameters are valid for steps of {fitted.timestep:g} s with the integrator {fitted.integrator}.",
         *([_say_difference(fitted, difference)] if difference else []),
         *(limit for limit in limits if limit != nearest.remark),
     ]
@@ -192,19 +192,17 @@ def _say_robot(robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators
         limits.append("URDF has no actuators and no solreffriction; both are in bench.xml.")
     elif actuators == "keep":
         limits.append(
-            "The robot's own actuators are kept; armature and friction were identified with that in bench.xml."
+            "The robot's own actuators are kept; armature and friction were identified with those in bench.xml."
         )
     if "position_offset" in fitted.bench.params:
         offset = list_values(fitted.values["bench"]["position_offset"])
-        limits.append(f"The recorded positions lack {offset} {units['position']}, which the robot's joints do not.")
+        limits.append(f"The robot's joint positions are the recorded positions plus {offset} {units['position']}.")
         if actuators == "identified" and not robot.urdf:
-            limits.append("The actuators' bias makes up for that: `ctrl` is the recorded command.")
+            limits.append("The actuators' bias corrects this: `ctrl` is the recorded command.")
     if not robot.urdf and not np.isclose(timestep, fitted.timestep, rtol=1e-6):
-        limits.append(
-            f"The robot's time step is {timestep:g} s, the drive was identified in steps of {fitted.timestep:g} s."
-        )
+        limits.append(f"The robot's timestep is {timestep:g} s, the drive was identified with {fitted.timestep:g} s.")
     if b"file=" in robot.content or b"filename=" in robot.content:
-        limits.append("It refers to files (meshes) as the original does: put it where that lies.")
+        limits.append("It refers to the original's files (meshes): put it in the original's folder.")
     return limits
 
 
@@ -224,7 +222,7 @@ def play(
     qpos = run_loaded(model, fitted, place)
     diverged = stable & ~np.isfinite(qpos).all(axis=(1, 2))
     if diverged.any():
-        return None, (f"As loaded, it diverges in {diverged.sum()} of {fitted.over}: do not use it.",)
+        return None, (f"It diverges in {diverged.sum()} of {fitted.over}: do not use it.",)
     over = None if stable.all() else f"{stable.sum()} of {fitted.over}, in which the drive does not diverge"
     return measure("qpos", fitted, qpos[stable], expected.qpos[stable], over, ", ".join(why)), ()
 
@@ -241,13 +239,13 @@ def _is_clipped(model: mujoco.MjModel, fitted: FittedDrive, place: Indices) -> b
 
 def _say_difference(fitted: FittedDrive, difference: Deviation) -> str:
     """Describe the difference of a file from the drive, for the file's comment."""
-    prefix = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
+    prefix = f"Simulated unchanged in MuJoCo with held-out commands ({difference.over}):"
     if difference.largest <= EXACT:
         return f"{prefix} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
     error = fitted.result.metrics.test.position_mae
     share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
     reason = f": {difference.reason}" if difference.reason else ""
     return (
-        f"{prefix} its positions differ from the identified drive's by {difference.mean:.3g} {difference.unit} in the "
-        f"mean{share} and {difference.largest:.3g} {difference.unit} at most{reason}."
+        f"{prefix} its positions differ from the identified drive's by {difference.mean:.3g} {difference.unit} on "
+        f"average{share} and {difference.largest:.3g} {difference.unit} at most{reason}."
     )

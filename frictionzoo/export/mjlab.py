@@ -137,8 +137,8 @@ def _write_bam(fitted: FittedDrive, folder: Path, options: Mapping[str, str]) ->
         say_not_run(Mjlab.program),
         *say_common(fitted, nearest, {}),
         f"The servo's inputs are fixed: {listed}, always enabled; vin_range= draws the supply.",
-        "BAM ends the torque at that of standstill, also when braking adds back-EMF to it.",
-        "BAM 1.0.2 asks for mjlab 1.3 and Python 3.12; install it with --no-deps beside mjlab 1.6.",
+        "BAM limits the torque to the stall torque, also when braking adds back-EMF.",
+        "BAM 1.0.2 requires mjlab 1.3 and Python 3.12; with mjlab 1.6, install it with --no-deps.",
         KT,
         _say_solref(fitted),
     )
@@ -162,7 +162,7 @@ def _write_lugre(fitted: FittedDrive, folder: Path, options: Mapping[str, str]) 
     limits = (
         say_not_run(Mjlab.program),
         *say_common(fitted, nearest, inputs),
-        "A dcmotor's controller gives volts in MuJoCo 3.11, as mjlab 1.6 has it; in later versions it may not.",
+        "A dcmotor's controller outputs volts in MuJoCo 3.11, the version of mjlab 1.6; later versions may differ.",
         "The bristles' deflection is the actuator's `act`; mjlab begins with 0, a joint without load.",
     )
     return Export((Mjlab.file,), (measure("qpos", fitted, qpos, fitted.rollout()[0], reason=reason),), limits)
@@ -214,4 +214,4 @@ def _write_call(name: str, values: Mapping[str, Any], comments: Mapping[str, str
 def _say_solref(fitted: FittedDrive) -> str:
     """State which solreffriction the robot's joints need."""
     solref = " ".join(f"{number:g}" for number in fitted.bench.compile(constraint=False).dof_solref[0])
-    return f"The friction constraint's solreffriction is the robot's: set {solref} at the joint in its MJCF."
+    return f"The friction constraint uses the robot's solreffriction: set {solref} at the joint in its MJCF."

@@ -30,11 +30,11 @@ class Mjx(Target):
         """See `Target.write`."""
         # MJX allocates friction constraints only for joints with frictionloss > 0; each step sets their values.
         loss = np.array(fitted.model.constrained, float) if fitted.model.constraint else None
-        late = Code("commands act late." if "delay" in fitted.values["bench"] else "they act at once.")
+        late = Code("commands are delayed." if "delay" in fitted.values["bench"] else "there is no delay.")
         written = write_drive(fitted, folder, "mjx_drive.py.jinja", loss, late_remark=late)
         with jax.enable_x64(True):
             difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
-        limit = "The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."
+        limit = "The difference is in 64 bits (jax_enable_x64); JAX's default of 32 bits rounds more."
         return Export(written, (difference,), (limit, *([PAYLOADS] if fitted.bench.payload is not None else [])))
 
 

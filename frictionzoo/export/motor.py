@@ -23,17 +23,17 @@ from frictionzoo.export.simulate import simulate
 from frictionzoo.result.fitted_drive import FittedDrive
 
 INPUTS: Mapping[str, str] = {
-    "gain": "of a servo's firmware; the recordings' median where it is left out",
-    "supply": "of a servo [V]; the recordings' median where it is left out",
+    "gain": "of a servo's firmware; default: the recordings' median",
+    "supply": "of a servo [V]; default: the recordings' median",
 }
 _SAID: Mapping[str, str] = {
-    "torque_low": "The torque's range is not symmetrical; limits in the file are those of its upper end.",
-    "torque_saturation": "It has no smooth saturation: the torque that this approaches is a hard limit in the file.",
+    "torque_low": "The torque limits are not symmetrical; the file has the upper one.",
+    "torque_saturation": "It has no smooth saturation: the saturation torque is a hard limit in the file.",
     "delay": "Delays are whole steps of {timestep} s: {delays}.",
     "position_offset": "The position offset, {} {position}, is not in the file: add it to measured positions and to "
     "commands.",
     "torque_offset": "The constant torque, {} {torque}, is not in the file: add it, divided by the stiffness, to "
-    "position targets, as for the difference.",
+    "position targets, as in the comparison.",
 }
 """What a file lacks of a bench with this parameter."""
 _NEVER = 3.0  # times the stall torque: only reached by a joint driven backwards at twice the no-load speed
@@ -210,8 +210,8 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest, held: Collection[str] = ()
 def say_not_run(program: str) -> str:
     """Say that the file's own program did not run."""
     return (
-        f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
-        "of their class in MuJoCo C."
+        f"{program} itself was not run: the difference is computed in MuJoCo C, from the file's values and the formula "
+        "of their class."
     )
 
 
@@ -225,18 +225,17 @@ def say_common(
     if feedforward := [name for name in commands if np.any(fitted.segments.acting.inputs[name])]:
         limits.append(
             f"The recordings have {' and '.join(feedforward)}: give ctrl + (kd ctrl_velocity + ctrl_torque) / kp as "
-            "position target, as for the difference, with kp and kd as they were commanded."
+            "position target, as in the comparison, with the commanded kp and kd."
         )
     if commands and (values["torque_gain"] != 1).any():
         listed = list_values(values["torque_gain"])
-        limits.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
+        limits.append(f"Gains and limits in the file are the controller's times torque_gain, {listed}.")
     if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
-        limits.append(f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain.")
+        limits.append(f"The servo's inputs are fixed: {listed}, always enabled; the stiffness belongs to this gain.")
         if not held:
             limits[-1] += (
-                " Braking adds back-EMF to the torque at standstill: effort_limit lies above saturation_effort for "
-                "that reason."
+                " Braking adds back-EMF to the stall torque: effort_limit is therefore above saturation_effort."
             )
     delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values.get("delay", ())))
     words = {**UNITS[fitted.bench.joint_type], "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}

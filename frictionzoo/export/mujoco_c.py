@@ -24,7 +24,7 @@ from frictionzoo.result.fitted_drive import FittedDrive
 
 FORMS = ("module", "native")
 LAWS = ("lugre", "dahl")  # friction models of MuJoCo's dcmotor
-REASON = "MuJoCo takes the bristles' torque at a step's beginning, the drive at its end"
+REASON = "MuJoCo uses the bristle torque at a step's beginning, the drive at its end"
 _NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, no command
 
 
@@ -47,7 +47,7 @@ class MujocoC(Target):
         command = Code("drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ...")
         written = write_drive(fitted, folder, "mujoco_drive.py.jinja", example_install=command)
         difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
-        limit = "It runs as MuJoCo's control callback, in Python: a step takes longer than without."
+        limit = "It runs as MuJoCo's control callback, in Python, which makes steps slower."
         return Export(written, (difference,), (limit, *([PAYLOADS] if fitted.bench.payload is not None else [])))
 
 
@@ -57,10 +57,10 @@ def _write_native(fitted: FittedDrive, folder: Path) -> Export:
     difference = measure("qpos", fitted, run_native(text, fitted), fitted.rollout()[0], reason=REASON)
     exact = Nearest(dict(fitted.values["bench"]), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
     limits = (
-        f"{REASON}: the equations are one, and so are the motions as steps get short; stiff bristles need shorter "
+        f"{REASON}: the equations are the same, and the motions agree for short steps; stiff bristles need shorter "
         "steps than the drive.",
-        "`act` of the dcmotor is the bend of the bristles: 0 is a joint without load, not one that holds it; the "
-        "difference begins with the drive's own.",
+        "`act` of the dcmotor is the bristle deflection: 0 is a joint without load; the comparison begins with the "
+        "drive's deflection.",
     )
     return Export((BENCH,), (difference,), (*limits, *say_limits(fitted, exact)))
 

@@ -76,9 +76,8 @@ def find_nearest(fitted: FittedDrive) -> Nearest:
         residual = torque - sliding_torque(np, FrictionTerms(frictionloss=start[0], damping=start[1]), velocity)
         rms, unit = _list(np.sqrt(np.square(residual).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
         what = (
-            f", and the fitted drive diverges in its own {fitted.over}, so that they could not be refitted to those: "
-            f"they are the nearest to the law's torque at the measured states, from which they differ by {rms} {unit} "
-            "RMS"
+            f", and the fitted drive diverges in its own {fitted.over}, so they could not be refitted to these: "
+            f"they fit the model's torque at the measured states, with a difference of {rms} {unit} RMS"
         )
         return Nearest(*(bench, *start), *_describe(fitted, exact, what))
     return _refit(fitted, rollouts, *start, exact)
@@ -199,7 +198,7 @@ def _refit(
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
     identified, units = fitted.values["bench"]["armature"], UNITS[fitted.bench.joint_type]
     details = (
-        f" ({before:.3g} {units['position']} with the friction nearest to the law's torque); armature "
+        f" ({before:.3g} {units['position']} for the nearest friction torque); armature "
         f"{_list(bench['armature'][~exact])} instead of {_list(identified[~exact])} {units['inertia']}"
     )
     texts = _describe(fitted, exact, _say_refit(fitted, "fitted", after) + details)
@@ -233,17 +232,17 @@ def _pose(
 
 def _say_refit(fitted: FittedDrive, whose: str, rms: float) -> str:
     return (
-        f": they and the armature were refitted to the {whose} drive's own {fitted.over} and leave a position "
-        f"difference of {rms:.3g} {UNITS[fitted.bench.joint_type]['position']} RMS"
+        f": they were refitted, with the armature, to the {whose} drive's own {fitted.over}; remaining position "
+        f"difference {rms:.3g} {UNITS[fitted.bench.joint_type]['position']} RMS"
     )
 
 
 def _describe(fitted: FittedDrive, exact: Bool[np.ndarray, "nv"], what: str) -> tuple[str, str]:
     """Return `remark` and `lacks` of a `Nearest`; `what` continues the remark."""
     name = _name(fitted, exact)
-    others = f" Those of the other joints are their law's{_say_where(fitted.model)}." if exact.any() else ""
+    others = f" The other joints have the values of their model{_say_where(fitted.model)}." if exact.any() else ""
     cannot = f"cannot represent {name}"
-    return f"A frictionloss and a damping {cannot}{what}.{others}", f"frictionloss and damping {cannot}"
+    return f"Frictionloss and damping {cannot}{what}.{others}", f"frictionloss and damping {cannot}"
 
 
 def _take_exact(

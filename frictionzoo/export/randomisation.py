@@ -35,8 +35,8 @@ OPERATIONS = ("abs", "scale")
 GAINS = ("actuator.stiffness", "actuator.damping")
 FRICTION = ("joint.static_friction", "joint.frictionloss", "joint.damping")
 _ABOUT = (
-    "A 95 % interval says how well these recordings fix a value of this law on this unit. Other units, payloads, "
-    "temperatures and days are not in it: export with ranges= that hold them. Set ENTITY and JOINTS to the names in "
+    "A 95 % interval states how well these recordings determine a value of this model on this unit. It excludes other "
+    "units, payloads, temperatures and days: export with ranges= for these. Set ENTITY and JOINTS to the names in "
     "your scene."
 )
 
@@ -50,9 +50,9 @@ class Randomisation(Target):
 
     options: ClassVar[Mapping[str, str]] = {
         "ranges": "shares of values that parameters may have, '{bench.armature: [0.8, 1.2]}', or low and high",
-        "count": f"drives to draw, {_COUNT} where it is left out",
-        "files": f"of these that become MJCF, {_FILES} where it is left out",
-        "seed": "of the draws, 0 where it is left out",
+        "count": f"drives to draw; default: {_COUNT}",
+        "files": f"of these that become MJCF; default: {_FILES}",
+        "seed": "of the draws; default: 0",
         "operation": "of ranges in events: abs, in the unit, or scale, as shares",
         **INPUTS,
     }
@@ -136,13 +136,13 @@ def write_files(folder: Path, drives: Sequence[Drive]) -> tuple[list[str], tuple
         try:
             robots = [put_into(*where, *drive, bench) for drive, bench in zip(drives, benches, strict=True)]
         except FrictionzooError as error:
-            remarks = (f"The files are the bench alone, not the robot's own: {error}.",)
+            remarks = (f"The files contain only the bench, not the robot: {error}.",)
         else:
             suffix, remarks = ".urdf" if robots[0].urdf else ".xml", robots[0].notes
             contents = [robot.commented().content for robot in robots]
             if b"file=" in robots[0].content or b"filename=" in robots[0].content:
                 remarks += (
-                    "The robot's files refer to others (meshes) as the original does: put them where that lies.",
+                    "The robot's files refer to the original's files (meshes): put them in the original's folder.",
                 )
     for name, content in zip(names, contents, strict=True):
         (folder / f"{name}{suffix}").write_bytes(content)
@@ -160,7 +160,7 @@ def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Deviation, ...], str]:
         measure("qpos", fitted, drawn, drawn_expected, over, drives[0][1].lacks),
     )
     unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result.metrics.test.position_mae
-    test_error = "" if error is None else f"; the fitted drive's test error is {error:.2g} {unit} in the mean"
+    test_error = "" if error is None else f"; the fitted drive's mean test error is {error:.2g} {unit}"
     return differences, (
         f"Positions of the {len(drawn)} drives in {FOLDER}/ are {drawn.std(axis=0).mean():.2g} {unit} apart (standard "
         f"deviation, mean over {fitted.over}) and {np.ptp(drawn, axis=0).max():.2g} {unit} at most{test_error}."
@@ -174,15 +174,15 @@ def _say(parameters: Sequence[Quantity], taken: Sequence[Quantity], delays: Mapp
     missing += [name for quantity in taken if (name := quantity.name.partition(".")[2]) in LIMITS]
     limits = [
         "mjlab and Isaac Lab themselves were not run.",
-        "A 95 % interval says how well these recordings fix the values of this law on this unit; other units, "
-        "payloads, temperatures and days are not in it: hold them by ranges.",
+        "A 95 % interval states how well these recordings determine the values of this model on this unit. It excludes "
+        "other units, payloads, temperatures and days: set ranges for these.",
     ]
     if missing:
         limits.append(
             f"Only {SAMPLES} and the MJCF files have {', '.join(missing)}: the programs have no event for them."
         )
     if delays:
-        limits.append("The programs draw the delay by themselves, in whole steps and apart from all else: DELAYS.")
+        limits.append("The programs draw the delay themselves, in whole steps and independently: DELAYS.")
     return limits
 
 
@@ -280,9 +280,7 @@ def _list_cells(quantity: Quantity, joints: Sequence[str], operation: str) -> li
         unit = quantity.unit if why else f"{quantity.unit}, known"  # the reasons for the ranges are in CHANGES
         if operation == "scale":
             if why and nominal == 0:
-                raise ConfigError(
-                    f"operation=scale: {quantity.name} of {name} is 0, expected one to take shares of; take abs"
-                )
+                raise ConfigError(f"operation=scale: {quantity.name} of {name} is 0, expected another value; use abs")
             low, high = (low / nominal, high / nominal) if why else (1.0, 1.0)
             unit = f"of {nominal:.6g} {unit}"
         cells.append(Cell(name, Code(f"{low:.6g}"), Code(f"{high:.6g}"), Code(unit), bool(why)))

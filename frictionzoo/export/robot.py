@@ -150,7 +150,7 @@ def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
     if failure is None:
         return ()
     if _compile(path.read_bytes(), path) is None:
-        raise ExportError(f"into={path}: with the drive in it, MuJoCo does not compile it ({failure}); mend it")
+        raise ExportError(f"into={path}: with the drive in it, MuJoCo does not compile it ({failure}); fix it")
     return (f"MuJoCo does not compile it here, nor the original ({failure}): it was checked without meshes.",)
 
 
@@ -250,8 +250,8 @@ def _change_option(file: InPlace, option: mujoco.MjOption, fitted: FittedDrive) 
         return []
     set_option(file, fitted)
     return [
-        f"Its <option> has timestep {fitted.timestep:g} and integrator {wanted}, which the parameters are for, in "
-        f"place of {option.timestep:g} and {current}; the options timestep and integrator choose others."
+        f"Its <option> has timestep {fitted.timestep:g} and integrator {wanted}, for which the parameters are valid, "
+        f"instead of {option.timestep:g} and {current}; the options timestep and integrator select others."
     ]
 
 
@@ -281,7 +281,7 @@ def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], 
     limits, notes = _list_limits(before, joint, law)
     if friction_motors:
         notes.append(
-            f"The <dcmotor> of joint {joint} without a command is left out: what was identified is its friction."
+            f"The <dcmotor> of joint {joint} without a command is left out: the identified friction replaces it."
         )
     new = ET.Element("general", {**identity, "joint": joint, **limits, **_PLAIN, **law})
     if old:
@@ -310,7 +310,7 @@ def _list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[di
     (read,) = read_actuators(before, [index])
     if read is None:
         limits = _as_attributes(_UNLIMITED, _UNLIMITED, group)
-        return limits, [f"The limits of the actuator that joint {joint} had are left out."]
+        return limits, [f"The limits of joint {joint}'s previous actuator are left out."]
     gain, (_, bias1, bias2) = float(law["gainprm"]), map(float, law["biasprm"].split())
     ctrl, force, notes = np.array(read.ctrlrange), np.array(read.forcerange), []
     if read.bias1 and bias1:
@@ -322,9 +322,9 @@ def _list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[di
     elif read.kind == "motor" and np.isfinite(ctrl).all():
         low, high = _ordered(ctrl * read.gain)
         force, ctrl = np.array([np.fmax(force[0], low), np.fmin(force[1], high)]), _UNLIMITED
-        notes = ["The motors' ranges of commands limit the force: a command is not a torque any more."]
+        notes = ["The motors' command ranges limit the force: a command is no longer a torque."]
     elif np.isfinite(ctrl).all():
-        notes = ["Ranges of commands are left out: the identified actuators' commands are others."]
+        notes = ["Command ranges are left out: the identified actuators have other commands."]
         ctrl = _UNLIMITED
     return _as_attributes(ctrl, force, group), notes
 

@@ -58,8 +58,8 @@ class Sdf(Target):
         )
         difference = measure("qpos", fitted, qpos, fitted.rollout()[0], reason=lacks)
         remarks = (
-            "Gazebo and Drake were not run: the difference is that of the file's numbers, read back, in MuJoCo, with "
-            f"{'what it has in its links' if in_links else 'its drake:rotor_inertia as armature'} and the bench's "
+            "Gazebo and Drake were not run: the difference is computed in MuJoCo from the file's values, with "
+            f"{'the armature in the links' if in_links else 'its drake:rotor_inertia as armature'} and the bench's "
             "actuator.",
             "The actuator is left out: the caller computes its force or torque from the recorded commands.",
         )

@@ -102,15 +102,14 @@ def _write_interfaces(name: str, drive: Motor | None) -> ET.Element:
 
 def _say(fitted: FittedDrive, nearest: Nearest, drives: list[Motor], inputs: Mapping[str, float]) -> list[str]:
     limits = [
-        "Drake and ros2_control were not run: the difference is that of the file in MuJoCo, with its "
+        "Drake and ros2_control were not run: the difference is computed in MuJoCo, with the file's "
         "drake:rotor_inertia as armature and the bench's actuator.",
-        "ros2_control's plugin is mock_components/GenericSystem, to be replaced by your hardware's, which reads "
-        "<param> or not.",
+        "Replace ros2_control's plugin mock_components/GenericSystem by your hardware's, which may ignore <param>.",
     ]
     if not drives:
-        return [*limits, "The command is an effort: what makes one of the recorded commands is not in the file."]
+        return [*limits, "The command is an effort: the file does not convert the recorded commands to it."]
     if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
-        limits.append(f"Gains in <param> are those at {listed}.")
+        limits.append(f"Gains in <param> are valid at {listed}.")
     exact = [lack for lack in list_lacks(fitted, nearest) if lack not in (nearest.lacks, "delays are whole steps")]
     return limits + ([f"Gains in <param> leave out: {', '.join(exact)}."] if exact else [])

@@ -143,8 +143,8 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
         )
     if target.instant and moved.model.memory:
         raise ExportError(
-            f"target={name}: {moved.model.name} remembers what was before, expected a law of the present state; take "
-            "target=mujoco or mjx, whose modules remember too, or fit another model"
+            f"target={name}: {moved.model.name} has memory, expected a model without memory; use "
+            "target=mujoco or mjx, whose modules have memory, or fit another model"
         )
     if "mujoco" in target.packages:
         moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
@@ -164,7 +164,7 @@ def _say_simulator(moved: FittedDrive) -> list[str]:
         return []
     qpos, unit = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"]
     distance = np.abs(qpos - moved.predict_origin().qpos)
-    gap = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
+    gap = f"by {distance.mean():.2g} {unit} on average and {distance.max():.2g} {unit} at most, over {moved.over}"
     if not moved.is_simulated:
         fitted = f"those of {origin.timestep:g} s with which it was fitted"
         return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {gap}."]

@@ -26,7 +26,7 @@ def repeat_fit(drive: FittedDrive, logs: Logs) -> FittedDrive:
     Link inertia and gravity stay as the run identified them.
 
     Raises:
-        FrictionzooError: The recordings do not fit the drive or have a certain fault, or a setting is invalid.
+        FrictionzooError: The recordings do not fit the drive or have a definite fault, or a setting is invalid.
     """
     settings = {**_settle(drive.result.settings), "data": dict(logs.section)}
     bench, fit = drive.bench.begun(drive.values["bench"]), build(settings["fit"], Fit)

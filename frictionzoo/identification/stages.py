@@ -57,7 +57,7 @@ class Stages(Trials):
     def _weigh(self) -> None:
         """Choose precision, integration order and weights."""
         second_order = self.settings["bench"].get("second_order")
-        reason = "parameters hold in continuous time" if second_order else "parameters hold for this timestep"
+        reason = f"parameters are valid {'in continuous time' if second_order else 'for this timestep'}"
         self._choose("bench.second_order", second_order, reason)
         double_reason = "least squares need rounding errors far below the noise"
         single_reason = "rounding errors are far below the accuracy of this fit"
@@ -100,8 +100,8 @@ class Stages(Trials):
         growth = pilot.growth(self._found)
         stable = int(np.argmax(growth > _GROWTH)) if (growth > _GROWTH).any() else longest
         length = max(min(FEWEST, longest), stable)
-        reason = f"forces scale the position error from an initial velocity error by {growth[length - 1]:.2g}"
-        self._choose("segments.length", length, f"{length * self._interval:.3g} s, within which {reason}")
+        reason = f"forces amplify the position error due to an initial velocity error {growth[length - 1]:.2g}-fold"
+        self._choose("segments.length", length, f"{length * self._interval:.3g} s: {reason}")
 
     def _choose_loss(self) -> None:
         """Choose least squares, unless the model lacks something and a robust loss has a smaller validation error."""
@@ -131,7 +131,7 @@ class Stages(Trials):
         if error_ratio < 1 - _BETTER:
             self._choose("loss.robust", "soft_l1", reason)
             self._choose("loss.robust_scale", robust["robust_scale"], scale_reason)
-            self._choose("loss.refine", False, "a robust loss starts at measured states")
+            self._choose("loss.refine", False, "a robust loss needs measured initial states")
             if longer > self.settings["segments"]["length"]:
                 self._choose("segments.length", longer, "the length of the validated fit")
             return
@@ -183,7 +183,7 @@ class Stages(Trials):
             return
         reason = "rounding explains the residual: errors within half an encoder step do not count"
         self._choose("loss.encoder_step", step, reason)
-        reason = f"reduced: position errors beyond half an encoder step weigh like noise of {soft_width(step):.2g} "
+        reason = f"reduced: position errors beyond half an encoder step count like noise of {soft_width(step):.2g} "
         self._choose("loss.velocity", self._velocity_beside_rounding(), f"{reason}{self._unit}")
 
     def _choose_free(self) -> None:
@@ -206,7 +206,7 @@ class Stages(Trials):
             if newly_doubtful := self._doubt(values):
                 self._out |= newly_doubtful
                 self._go_on(pilot)
-        gain = f", to {error_ratio:.3g} times its value without it"
+        gain = f"; ratio {error_ratio:.3g}"
         for name in self._free:
             chosen = name not in self._out
             why = _HELPS if helps and name in doubtful else OPTIONAL[name] if chosen else _NOT_SHOWN
@@ -297,7 +297,7 @@ class Stages(Trials):
     def _leave_out(self) -> None:
         """Fix the options that only pilots can choose."""
         for name in self._free:
-            reason = "not estimated in this fit; fit a model with few parameters with fit=lm first, then set it"
+            reason = "not estimated in this fit; fit a model with few parameters by fit=lm, then set this value"
             self._choose(f"bench.params.{name}.identify", False, reason)
         reason = "MuJoCo's default; a stiffer constraint is tried only with few parameters"
         self._choose("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), reason)

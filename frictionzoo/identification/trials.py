@@ -164,7 +164,7 @@ class Trials:
             return None, "all segments"
         share = max(most_steps / steps, _LEAST)
         count = max(1, int(share * self._samples / self._bench.nv / length))
-        return count, f"{100 * share:.0f} % of all segments, evenly spread: steps of {1e3 * step:.3g} ms are costly"
+        return count, f"{100 * share:.0f} % of all segments, evenly spaced: steps of {1e3 * step:.3g} ms are costly"
 
     def _samples_in(self, seconds: float) -> int:
         """Return a segment length in sample intervals, at most `seconds`, that fits the recordings and leaves many."""

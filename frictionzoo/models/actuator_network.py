@@ -22,7 +22,7 @@ class ActuatorNetwork(ResidualNetwork):
 
     Cannot represent: dependence on position, temperature or the load's torque, a memory longer than its history,
     coupling between joints, more than c s in addition to the physical part. Within its limit the network may add energy
-    to the drive, and absorbs any other error of the simulation. It belongs to one simulation step, `bench.timestep`.
+    to the drive, and absorbs any other error of the simulation. It is valid for one simulation step, `bench.timestep`.
 
     torque = f + damping v + c s tanh(N(x)),  x = (tau_m(t - k_i h), v(t - k_i h)) for each k_i in history
 
@@ -40,8 +40,8 @@ class ActuatorNetwork(ResidualNetwork):
 
     tau_m is a function of position error and velocity, the inputs of the simulators' actuator networks, for given gains
     and supply. The network therefore learns from recordings with several gains. The torque that drives the joint is
-    tau_m - c s tanh(N(x)), and the fit starts as a fit of `mujoco_default`. A rollout begins as if its first state had
-    lasted.
+    tau_m - c s tanh(N(x)), and the fit starts as a fit of `mujoco_default`. A rollout assumes a constant state before
+    its start.
 
     Source: J. Hwangbo, J. Lee, A. Dosovitskiy, D. Bellicoso, V. Tsounis, V. Koltun, M. Hutter, "Learning agile and
     dynamic motor skills for legged robots", Science Robotics 4(26), 2019, a network of recent position errors and

@@ -20,7 +20,7 @@ class Backlash(FrictionModel):
 
     J dw/dt = tau - F w / sqrt(w^2 + v_0^2) - b w - c,  dx/dt = w - v
     c = k dead(x) + d dead'(x) (w - v)
-    torque = tau - c: of the motor's torque, c reaches the load
+    torque = tau - c: only c reaches the load
 
     dead(x) = 0  for |x| <= (1 - s) g / 2, where the rotor moves freely
     dead(x) = sign(x) (|x| - g / 2)  for |x| >= (1 + s) g / 2
@@ -52,8 +52,8 @@ class Backlash(FrictionModel):
     If the drive accelerates or crosses the gap at that moment, this initial state is wrong by up to the gap, for some
     oscillations of the coupling. Segments must be much longer, otherwise the fit underestimates the gap. Example:
     `data=two_inertia model=backlash fit=lm segments.length=1500 segments.count=40`. `recipe=auto` chooses 5 s, or a
-    tenth of the recordings if that is less: record a minute or more. For a drive that rattled, in a simulation whose
-    damper never pulls, the fit still found half the gap, with an interval that excludes the true value.
+    tenth of the recordings if that is less: record a minute or more. For a simulated drive that
+    rattled, without pull of the damper, the fit still found half the gap; its interval excluded the true value.
 
     The loss has another minimum, with a gap near its lower bound and a part of the load's inertia in the rotor.
     Intervals there are as narrow as elsewhere, because they describe that minimum only. Start with `rotor_inertia`,

@@ -76,9 +76,7 @@ class ByJoint(FrictionModel):
             ConfigError: The models are given by patterns, and the joint names are not known yet.
         """
         if not self.labels:
-            raise ConfigError(
-                "model.laws: patterns of joints' names, but it does not know them; call bind(bench.joints)"
-            )
+            raise ConfigError("model.laws: patterns of joint names, but the names are unknown; call bind(bench.joints)")
         models: Any = tuple(self.get_submodule(label) for label in self.labels)
         return models
 
@@ -202,7 +200,7 @@ def _assign(patterns: Sequence[str], joints: Sequence[str]) -> list[list[int]]:
     for pattern, members in groups.items():
         if not members:
             taken = [joint for joint in joints if fits(pattern, joint, "model.laws")]
-            why = f"{taken[0]} has the law of a pattern before it; put it first" if taken else closest(pattern, joints)
+            why = f"{taken[0]} matches an earlier pattern; put this one first" if taken else closest(pattern, joints)
             raise ConfigError(f"model.laws: {pattern}: no joint for it; {why}, or leave it out")
     return [*groups.values()]
 

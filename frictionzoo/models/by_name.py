@@ -21,7 +21,7 @@ def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]
         ConfigError: An option does not exist, or its value is invalid.
     """
     if "_target_" in options:
-        raise ConfigError(f"{name}: unknown option _target_, which would make it another law; name that law")
+        raise ConfigError(f"{name}: unknown option _target_, which would select another law; name that law")
     if name not in list_choices("model") and not is_declared(law := get_model(name)):
         return {"_target_": dotted_name(law), **options}
     job = {key: shared[key] for key in ("scale", "seed") if key in shared}  # to which the models' sections refer

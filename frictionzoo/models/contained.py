@@ -34,13 +34,16 @@ def check_contained(model: FrictionModel, samples: DriveState) -> None:
             expected, actual = (_torque(*pair, sliding) for pair in ((other, theirs), (model, ours)))
             error = float((np.abs(actual - expected) / np.maximum(np.abs(expected), np.finfo(float).tiny)).max())
             if not error <= _TOLERANCE:
-                _fail(model, f"slides otherwise than {name} by {error:.3g} of its friction; see the values in contains")
+                _fail(
+                    model,
+                    f"in sliding, it differs from {name} by {error:.3g} of its friction; see the values in contains",
+                )
 
 
 def _refuse_unknown(model: FrictionModel, law: type[FrictionModel], within: Mapping[str, Any]) -> None:
     for param, rule in within.items():
         if param not in model.dimensions:
-            _fail(model, f"{param} is none of its parameters; name one of {', '.join(model.dimensions)}")
+            _fail(model, f"{param} is not one of its parameters; name one of {', '.join(model.dimensions)}")
         if isinstance(rule, str) and rule not in law.dimensions:
             _fail(model, f"{param} is {rule} of {law.name}, which has {', '.join(law.dimensions)}; name one of these")
 

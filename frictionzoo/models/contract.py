@@ -144,7 +144,7 @@ def _check_kinds(model: FrictionModel, terms: Any, namespace: str, kind: type, b
     if not isinstance(terms, FrictionTerms):
         _fail(model, "terms", f"gives {type(terms).__name__} over {namespace}; return FrictionTerms")
     if model.constraint and terms.frictionloss is None:
-        _fail(model, "constraint", "is declared and frictionloss is None; answer with it or set constraint = False")
+        _fail(model, "constraint", "is declared and frictionloss is None; return it or set constraint = False")
     if not model.constraint and terms.frictionloss is not None:
         _fail(model, "constraint", "is not declared and frictionloss is given; set constraint = True")
     for name, term in terms.given().items():
@@ -168,12 +168,12 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
     kept_values, kept_state = copy.deepcopy((values, state))
     terms = model.terms(torch, values, state).given()
     if not _equal(terms, model.terms(torch, values, state).given()):
-        _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
+        _fail(model, "deterministic", "two calls with the same inputs differ; use no random numbers in terms")
     unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
     if not unwritten or not _equal(kept_values, torch_values(model)):
         _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
     if not _equal(terms, _changed(model).terms(torch, values, state).given()):
-        _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
+        _fail(model, "pure", "terms reads a parameter or buffer from the module; read it from values")
 
 
 def _check_types(model: FrictionModel, samples: DriveState) -> None:
@@ -219,7 +219,7 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
     after = model.advance(torch, torch_values(model), fast, settled, TIMESTEP)[1]
     change = float((after - settled).abs().max() / settled.abs().max())
     if not change <= SETTLED:
-        _fail(model, "memory", f"settled in motion it still changes by {change:.3g} of itself in a step; see settle")
+        _fail(model, "memory", f"in steady motion it still changes by {change:.3g} of its value in a step; see settle")
 
 
 def _check_formula(
@@ -277,27 +277,27 @@ def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
         terms = numpy_terms(model, values, samples)
         power = sliding_torque(np, terms, samples.qvel) * samples.qvel
         if (power < 0).any():
-            speed, advice = samples.qvel[power < 0][0], "oppose qvel, or drop the claim"
+            speed, advice = samples.qvel[power < 0][0], "oppose qvel, or remove dissipative"
             _fail(model, "dissipative", f"friction drives the joint at qvel={speed:.3g}; {advice}")
         torque, frictionloss, damping = (np.zeros(()) if term is None else term for term in terms)
         if ((np.abs(torque) > frictionloss) & (samples.qvel == 0)).any():
-            advice = "keep it within frictionloss there, or drop the claim"
-            _fail(model, "dissipative", f"torque moves a joint that stands still; {advice}")
+            advice = "keep it within frictionloss there, or remove dissipative"
+            _fail(model, "dissipative", f"torque moves a joint at rest; {advice}")
         if (damping < 0).any():
-            _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
+            _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or remove dissipative")
 
 
 def _check_sees(model: FrictionModel, samples: DriveState) -> None:
     """Check that `sees`, if not empty, lists exactly the quantities on which the friction depends."""
     declared = {*model.sees}
     for name in declared - {*SEES}:
-        _fail(model, "sees", f"{name} is nothing that friction changes with; {closest(name, SEES)}")
+        _fail(model, "sees", f"{name} is not a known quantity; {closest(name, SEES)}")
     if not declared:
         return
     observed = observe(model, samples) | ({"fast"} if "fast" in declared and is_curved(model, samples) else set())
     if declared != observed:
         declared_names, observed_names = (", ".join(sorted(names)) or "nothing" for names in (declared, observed))
-        _fail(model, "sees", f"it says {declared_names}, and its friction changes with {observed_names}; say that")
+        _fail(model, "sees", f"it declares {declared_names}, but friction depends on {observed_names}; declare these")
 
 
 def _draw_samples(model: FrictionModel) -> DriveState:

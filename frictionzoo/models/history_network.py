@@ -48,7 +48,7 @@ class HistoryNetwork(NetworkModel):
     Source: L. Feng, F. Tung, M. O. Ahmed, Y. Bengio, H. Hajimirsadeghi, "Were RNNs All We Needed?", 2024, minGRU: a
     gated recurrent unit whose gate and candidate depend on the inputs alone; time constants that depend on the inputs:
     R. Hasani, M. Lechner, A. Amini, D. Rus, R. Grosu, "Liquid Time-constant Networks", AAAI 2021. V. Kovalev et al.,
-    Proc. MIPT 18(2), 2026, leave a short history of states open; this form is this package's.
+    Proc. MIPT 18(2), 2026, suggest a short history of states; this form is this package's.
 
     Args:
         memory: Number of memory values per joint.

@@ -18,8 +18,8 @@ class OddNetwork(GearNetwork):
     position all have this symmetry. It halves the function that the network must learn.
 
     Cannot represent: friction that differs by direction (worm gears, one-sided springs or belts), sticking, friction
-    with a memory, coupling between joints. Torques at rest, such as cogging or an offset of the motor current, are not
-    taken for friction. It may add energy to the drive, and absorbs any other odd error of the simulation.
+    with a memory, coupling between joints. Torques at rest, such as cogging or a current offset, are not attributed to
+    friction. It may add energy to the drive, and absorbs any other odd error of the simulation.
 
     torque = s (N(q, w) - N(q, -w)) / 2,  w = (v, tau_m, tau_e)
 

@@ -76,7 +76,7 @@ def list_next_steps(comparison: Comparison, chosen: Run) -> list[Step]:
     commands = {row.kind: row.command for row in reversed(chosen.result.verdict.commands)}
     command, steps = commands.get("law", ""), list[Step]()
     if repair := commands.get("repair"):
-        steps.append(Step("Repair the problem that its run found", repair))
+        steps.append(Step("Fix the problem found in its run", repair))
     if sweep := _judge_again(comparison, command):
         steps.append(Step("Compare the runs within noise on more rollouts", sweep))
     models = {entry.model for entry in comparison.runs}

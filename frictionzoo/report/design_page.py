@@ -19,18 +19,18 @@ from frictionzoo.report.page import render_page
 from frictionzoo.report.run_page import LEAST, MOST
 
 LINKS = {
-    "known": "What will be known",
+    "known": "Predicted accuracy",
     "limits": "Limits",
     "motion": "Motion",
     "record": "How to record",
-    "search": "How it was found",
+    "search": "Search options",
     "files": "Files",
 }
 """Headings of the sections, by id."""
 FILES = {  # descriptions of the files in the page's folder
     "excitation.json": "all numbers of this page as JSON",
     "command.csv": "the command at each sample",
-    "expected.csv": "the same with the motion that is expected: a log",
+    "expected.csv": "the command with the expected motion, as a log",
     "trajectory.yaml": "the command for ROS 2",
     "actions.json": "the command for LeRobot",
 }
@@ -87,28 +87,29 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Finding]:
     largest = f"the {used['quantity']}{joint}, {100 * used['share']:.0f} % of its limit"
     if unknown:
         text = (
-            f"Not identifiable by this command: {', '.join(unknown)}. Most is taken of {largest}. State such a value as"
+            f"Not identifiable with this command: {', '.join(unknown)}. Highest use: {largest}. Set such a parameter "
         )
-        yield Finding("caution", "Parameters", f"{text} known, take a law without it, or allow and record more.")
+        text += "to a known value, use a model without it, raise the limits, or record longer."
+        yield Finding("caution", "Parameters", text)
     else:
-        yield Finding("good", "Parameters", f"Each of the {len(note['parameters'])} parameters will be known.")
+        yield Finding("good", "Parameters", f"All {len(note['parameters'])} parameters are identifiable.")
     rows = [row for row in note["parameters"] if None not in (row["share"], row["share_now"])]
     if no_gain := [row["name"] for row in rows if row["share_now"] <= row["share"]]:
-        text = f"The run knows {', '.join(no_gain)} as well already: design a longer command (seconds), with longer"
+        text = f"The run is already as accurate for {', '.join(no_gain)}: design a longer command (seconds), longer"
         yield Finding(
-            "caution", "Gain", f"{text} segments (segments.length), or in wider limits; or fit both recordings."
+            "caution", "Gain", f"{text} segments (segments.length), or with wider limits; or fit both recordings."
         )
-    yield Finding("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {largest}.")
+    yield Finding("good", "Limits", f"In MuJoCo C the motion respects all limits. Highest use: {largest}.")
     noise, units = note["noise"], {row["quantity"]: row["unit"] for row in note["limits"]}
     text = (
-        f"Noise alone is foreseen: an encoder step of {noise['quantum']:.3g} {units['position']}, position noise of "
-        f"{noise['position_noise']:.3g} {units['position']} and velocity noise of {noise['velocity_noise']:.3g} "
-        f"{units['velocity']}. Half the noise, half the interval. What the law lacks, and a delay or a mass that is "
-        "wrong, are not foreseen."
+        f"The prediction includes only noise: an encoder step of {noise['quantum']:.3g} {units['position']}, position "
+        f"noise of {noise['position_noise']:.3g} {units['position']} and velocity noise of "
+        f"{noise['velocity_noise']:.3g} {units['velocity']}. Half the noise, half the interval. It does not include "
+        "missing terms of the model, or a wrong delay or mass."
     )
     yield Finding("note", "Noise", text)
-    source = f"those of the run {note['run']}" if note["run"] else "initial values, not of a fit"
-    text = f"The values of the drive are {source}: a design is as good as they are. Fit, and design again."
+    source = f"those of the run {note['run']}" if note["run"] else "initial values, not fitted"
+    text = f"The drive's values are {source}. The design depends on them: fit the recording, and design again."
     yield Finding("note", "Values", text)
 
 
@@ -116,15 +117,13 @@ def _say_headline(note: Mapping[str, Any]) -> str:
     rows = [row for row in note["parameters"] if row["identifiable"] and row["share"] is not None]
     command, count = note["command"], len(note["parameters"])
     identifiable = sum(row["identifiable"] for row in note["parameters"])
-    text = (
-        f"{command['seconds']:g} s at {command['rate']:g} samples/s, after which {identifiable} of {count} parameters "
-    )
-    text += f"of {note['model']} will be known"
+    text = f"{command['seconds']:g} s at {command['rate']:g} samples/s: {identifiable} of {count} parameters of "
+    text += f"{note['model']} are identifiable"
     if not rows:
         return f"{text}."
     best, worst = (choose(rows, key=lambda row: row["share"]) for choose in (min, max))
-    accuracy = f"{best['name']} to ± {say_percent(best['share'])}"
-    return f"{text}: {accuracy}, the best, {worst['name']} to ± {say_percent(worst['share'])}, the worst."
+    accuracy = f"from ± {say_percent(best['share'])} ({best['name']})"
+    return f"{text}, {accuracy} to ± {say_percent(worst['share'])} ({worst['name']})."
 
 
 def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -173,9 +172,7 @@ def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint
         panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis))
     rows = [limits[quantity] for quantity in _QUANTITIES]
     ends = ", ".join("{:.3g} to {:.3g} {}".format(*row["reached"], row["unit"]) for row in rows)
-    text = (
-        f"Command of {note['joints'][joint]}, and what MuJoCo C expects of it; dashed: the limits. It reaches {ends}."
-    )
+    text = f"Command of {note['joints'][joint]} and expected motion in MuJoCo C; dashed: the limits. Ranges: {ends}."
     text += f" Outside the frame: the limits of {' and '.join(outside)}." if outside else ""
     return Figure(f"Motion of {note['joints'][joint]}", text, tuple(panels), height=620)
 
@@ -199,8 +196,8 @@ def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
     y, _ = _scale(limits["velocity"], "velocity", [velocity])
     marks: list[Mark] = [*_draw_limits(limits["position"], level=False), *_draw_limits(limits["velocity"], level=True)]
     marks.append(Curve(x=position, y=velocity, name="expected", color=MODEL, width=1.2, legend=False))
-    text = f"Expected velocity over position of {name}; dashed: the limits, where they are near. What the motion does "
-    return Figure(f"Phase plot of {name}", f"{text}not visit, the recording does not tell of.", (Panel(marks, x, y),))
+    text = f"Expected velocity over position of {name}; dashed: the limits, if near. The recording contains no "
+    return Figure(f"Phase plot of {name}", f"{text}information outside this region.", (Panel(marks, x, y),))
 
 
 def _plot_spectrum(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
@@ -212,5 +209,5 @@ def _plot_spectrum(note: Mapping[str, Any], interval: float, motion: Motion, joi
     look: dict[str, Any] = {"upright": True, "color": MODEL, "legend": False}
     bars = Bars(at=frequency[shown], length=amplitude, width=0.9 * float(frequency[1]), name="amplitude", **look)
     panel = Panel((bars,), Axis("frequency", "Hz"), Axis("amplitude of the velocity", unit))
-    text = f"What frequencies the command of {name} has, up to the bandwidth of {note['command']['bandwidth']:g} Hz; "
-    return Figure(f"Spectrum of {name}", f"{text}its ramps spread each a little.", (panel,))
+    text = f"Frequencies of the command of {name}, up to the bandwidth of {note['command']['bandwidth']:g} Hz; "
+    return Figure(f"Spectrum of {name}", f"{text}the ramps broaden each line slightly.", (panel,))

@@ -325,7 +325,7 @@ def _capitalise(text: str) -> str:
 def check_origin(data: Data) -> Finding:
     """Finding whether the data come from hardware; `data` as in `result.json`."""
     if data.origin == "simulated":
-        text = "A simulator made the data: the results show how well the model imitates it, and nothing about hardware."
+        text = "The data are simulated: the results show how well the model matches the simulator, not hardware."
         return Finding("note", "Simulated data", text)
     if data.origin == "hardware":
         return Finding("good", "Hardware data", "Recorded on hardware, according to data.origin.")

@@ -128,7 +128,7 @@ def summarise_drift(drift: Drift, folder: Path | None) -> str:
     remarks = [f"warning: {line}" for line in drift.warnings]
     if not several:
         remarks.append("one run: changes between repetitions are not included; give more runs of the unchanged drive")
-    chance = f"intervals hold together with {say_percent(1 - drift.alarm)} probability"
+    chance = f"joint confidence level of the intervals {say_percent(1 - drift.alarm)}"
     counts = f"changes below {say_percent(drift.smallest)} do not count"
     source = f"{drift.model}, {len(drift.runs)} run{'s' * several}; {chance}; {counts}"
     files = f"files: {folder}" if folder else ""

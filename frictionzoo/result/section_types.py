@@ -205,7 +205,7 @@ class BaseParameter(Record):
     """A base parameter: a combination of parameters of links, armatures and other torque terms."""
 
     combination: Text
-    """The combination in words; its first parameter gives it its name."""
+    """The combination in words, named after its first parameter."""
     value: float
     """Value in SI units."""
     error: NotNegative | None
@@ -265,7 +265,7 @@ class ResidualFactor(Record):
     """Name of the factor. `constant`: a constant torque; `scale`: the torque needed for the motion; `limit`: commanded
     torque beyond a limit; `late`: rate of the actuator torque, as from a delay; `speed`: speed; `slow`: low speed;
     `fast`: high speed; `direction`: direction of motion; `load`: load on the gear; `position`: position, against the
-    motion; `pull`: position, alike in both directions, which is not friction; `temperature`: temperature; `reversal`:
+    motion; `pull`: position, equal in both directions, which is not friction; `temperature`: temperature; `reversal`:
     time since the last reversal of the motion; `gap`: time around sign changes of the motor torque, as from
     backlash."""
     periods: Positive | None

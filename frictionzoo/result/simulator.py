@@ -53,8 +53,8 @@ def put_into_simulator(
         integrator = RK4
     if integrator == RK4 and not continuous:
         raise ConfigError(
-            f"integrator={RK4}: the parameters hold for steps of {bench.timestep:g} s, expected a drive in "
-            "continuous time; identify it with bench.second_order=true"
+            f"integrator={RK4}: the parameters are valid for steps of {bench.timestep:g} s, expected parameters in "
+            "continuous time; identify the drive with bench.second_order=true"
         )
     if timestep is None:
         default_step = remake(bench, timestep=None).timestep if continuous else bench.timestep
@@ -62,8 +62,8 @@ def put_into_simulator(
     every, interval = _share_samples(segments, timestep), segments.timestep
     if every is None:
         raise ConfigError(
-            f"timestep={timestep:g}; expected steps that divide {interval:g} s, the recordings' interval, or up to "
-            f"{_MOST_SHARED} of these"
+            f"timestep={timestep:g}; expected a step that divides the recordings' interval, {interval:g} s, or a "
+            f"multiple of it up to {_MOST_SHARED}"
         )
     step: dict[str, Any] = {"timestep": timestep}
     if integrator not in (None, RK4):

@@ -356,8 +356,8 @@ class Result(Record):
     versions: Versions
     """Versions of the packages that affect the numbers."""
     card: Card | None
-    """Published drive in a folder without recordings and paths of a machine, which has file names instead of paths, no
-    commands in `verdict`, and the bench of template.xml in `settings`; null: an ordinary run."""
+    """Drive published without recordings and machine paths: with file names instead of paths, no commands in
+    `verdict`, and the bench of template.xml in `settings`; null: an ordinary run."""
     settings: dict[str, Any]
     """All options of the run, as in `.hydra/config.yaml`, with computed values. For a distilled drive also `teacher`,
     the folder of the teacher's run."""

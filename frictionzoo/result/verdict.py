@@ -211,9 +211,9 @@ def _doubt_residual(residual: types.Residual) -> Iterator[types.ResultFinding]:
             where = f" of {row.joint}" if len(rows) > 1 else ""
             yield _find(
                 "residual",
-                f"the residual torque{where} exceeds noise by {say_percent(share)} of the friction (consecutive values "
-                f"correlate by {row.correlation:.2f}), and no residual factor explains it",
-                "check the known values (gains, inertia, delay) and elasticity between motor and joint",
+                f"the residual torque{where} exceeds noise by {say_percent(share)} of the friction (correlation of "
+                f"consecutive values {row.correlation:.2f}), and no residual factor explains it",
+                "check the known values (gains, inertia, delay) and the elasticity between motor and joint",
                 severe=share > CONTRADICTED,
             )
 
@@ -295,7 +295,7 @@ def _say_law(place: types.ResidualFactor) -> str:
     if place.place == "pull":
         return "this is not friction: check gravity, payload and springs of the bench, or motor cogging"
     if place.law is None:
-        return "the model has that term; its form or its bounds do not fit" if place.known else "no model has that term"
+        return "the model has that term; check its form and bounds" if place.known else "no model has that term"
     other = "another form of that term" if place.known else "that term"
     return f"{place.law} has {other}" + ("" if place.whole else ", but lacks other terms of this model")
 
@@ -323,7 +323,7 @@ def explain_failure(result: Result) -> list[str] | None:
         *result.warnings,
         "known values are wrong: the actuator's gains, inertia and gravity in the MJCF, or the recordings' units",
         "commands act with a delay: identify bench.params.delay",
-        "the recordings do not excite the drive, or the bounds do not suit it",
+        "the recordings do not excite the drive, or the bounds are unsuitable",
     ]
 
 
@@ -393,4 +393,4 @@ def doubt_reference(parameters: Sequence[ReferenceParameter]) -> str | None:
     ]
     if not ended:
         return None
-    return f"the drive without friction ended with {' and '.join(ended)}: the change against its error is unreliable"
+    return f"the drive without friction ended with {' and '.join(ended)}: the change from its error is unreliable"

@@ -189,7 +189,7 @@ def _name(
         )
     batch, time = len(qpos), ctrl.shape[1]
     for name in signals.keys() - set(bench.inputs):
-        raise BenchError(f"signals.{name}: neither law looks at it; {closest(str(name), bench.inputs)}")
+        raise BenchError(f"signals.{name}: no model uses it; {closest(str(name), bench.inputs)}")
     parts = {"ctrl": ctrl}
     defaults = {**bench.actuator.optional_inputs, **law.inputs}
     for name in bench.inputs:

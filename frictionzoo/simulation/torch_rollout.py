@@ -126,7 +126,7 @@ def _whole(label: str, terms: Any, qvel: torch.Tensor) -> dict[str, torch.Tensor
     """Return the model's terms, one row a segment; ModelError if they are not friction terms."""
     if not isinstance(terms, FrictionTerms):
         expected = "expected FrictionTerms, as in FrictionTerms(torque=torque)"
-        raise ModelError(f"{label}: its answer is a {type(terms).__name__}, {expected}")
+        raise ModelError(f"{label}: forward returns a {type(terms).__name__}, {expected}")
     for name, term in terms.given().items():
         if not isinstance(term, torch.Tensor) or not _broadcasts(term.shape, qvel.shape):
             description = f"shape {tuple(term.shape)}" if isinstance(term, torch.Tensor) else type(term).__name__

@@ -127,7 +127,7 @@ def _read_joint(source: Source, joint: int) -> ReadActuator | None:
             source.note(f"actuator {name} is a DC motor: {how}")
         if int(model.actuator_dyntype[index]) in _FILTERS:
             constant, lag = model.actuator_dynprm[index, 0], _lag(model, index)
-            instead = "left out, commands act at once; a delay of the bench may stand for it"
+            instead = "left out, commands act at once; a bench delay can replace it"
             instead = f"taken as a delay of {lag:g} s" if lag else instead
             source.note(f"actuator {name}: its filter of {constant:g} s is {instead}")
         readable.append(_read(source, index))

@@ -12,7 +12,7 @@ CONVERSIONS = {
     **dict.fromkeys((".xlsx", ".xls", ".xlsm", ".ods", ".numbers"), "a spreadsheet; save its sheet as CSV (UTF-8)"),
     **dict.fromkeys(
         (".pkl", ".pickle", ".joblib"),
-        "a pickle, which reading could let run any program; in Python: numpy.savez('a.npz', time=time, ...)",
+        "a pickle, which could run any program when read; in Python: numpy.savez('a.npz', time=time, ...)",
     ),
     **dict.fromkeys((".h5", ".hdf5"), "HDF5; in Python: numpy.savez('a.npz', time=file['time'][:], ...)"),
     ".npy": "an array without names; in Python: numpy.savez('a.npz', time=array[:, 0], qpos=array[:, 1], ...)",

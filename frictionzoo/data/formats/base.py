@@ -201,7 +201,7 @@ def tabulate(
         if values.dtype.kind == "M":
             exact = values.astype("M8[ns]")
             if not (exact.astype(values.dtype) == values).all():
-                refused[header] = f"{name}: {header} lacks a time, or has one beyond the years 1678 to 2262; mend it"
+                refused[header] = f"{name}: {header} lacks a time, or has one beyond the years 1678 to 2262; fix it"
                 continue
             values, units[header] = exact.astype(np.int64), "ns"
         if values.size == 1 and values.dtype.kind in "US":

@@ -85,6 +85,6 @@ def _named(file: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Seq
             labels = listed if len(listed) == values.shape[1] else range(values.shape[1])
             entries = {f"{header}[{label}]": entry for label, entry in zip(labels, values.T, strict=True)}
             if len(entries) < values.shape[1]:
-                raise LogError(f"{file}: {header} has the names {', '.join(listed)}, expected each once; mend {INFO}")
+                raise LogError(f"{file}: {header} has the names {', '.join(listed)}, expected each once; fix {INFO}")
         named |= entries
     return named

@@ -35,7 +35,7 @@ def _array(name: str, content: bytes) -> np.ndarray:
         raise LogError(f"{name}: .npy version {version}, expected 1.0 or 2.0; save it again")
     shape, _, dtype = HEADERS[version](file)
     if dtype.hasobject:
-        reason = "which reading could let run any program"
+        reason = "which could run any program when read"
         raise LogError(f"{name}: holds Python objects, {reason}; expected arrays of numbers")
     declared, size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize, len(content) - file.tell()
     if declared != size:

@@ -29,7 +29,7 @@ class Pt(Format):
             try:
                 stored = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
             except pickle.UnpicklingError:
-                reason = "which reading could let run any program"
+                reason = "which could run any program when read"
                 raise LogError(f"{name}: holds Python objects, {reason}; expected {EXPECTED}") from None
             if not isinstance(stored, Mapping):
                 raise LogError(f"{name}: holds one {type(stored).__name__}, expected {EXPECTED}")

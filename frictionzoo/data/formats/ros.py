@@ -76,7 +76,7 @@ class Ros(Format):
 
     def _check_open(self, name: str, bag: Any) -> None:
         if bag.compression_mode:
-            expected = "expected a bag that is not or whose storage is; unpack it with `ros2 bag convert`"
+            expected = "expected none, or compression of the storage; unpack it with `ros2 bag convert`"
             raise LogError(f"{name}: compressed by {bag.compression_mode}, {expected}")
 
     def parse(self, name: str, content: bytes) -> Table:

@@ -45,8 +45,8 @@ class ParameterDrift(Record):
     difference: float | None
     """`now` minus `then`, as estimated from the middles of the intervals; null: not determined now."""
     interval: Interval | None
-    """Interval of the difference. All these intervals hold together with probability 1 - `alarm`; null: not determined
-    now."""
+    """Interval of the difference. The joint confidence level of all these intervals is 1 - `alarm`; null: not
+    determined now."""
     spread: NotNegative | None
     """Standard deviation between the runs [unit], including the uncertainty of each; null: one run."""
     verdict: Verdict
@@ -68,7 +68,7 @@ class Drift(Record):
     joints: Joints
     """Names of the identified joints."""
     data: Data | None
-    """The new recordings; null: refused because of a certain fault."""
+    """The new recordings; null: refused because of a definite fault."""
     alarm: Share
     """Probability that an unchanged drive is reported as changed, over all parameters together."""
     smallest: NotNegative
@@ -81,7 +81,7 @@ class Drift(Record):
     """Reasons to doubt the new recordings or their identification."""
     verdict: Verdict
     """Overall verdict: `changed` if any parameter has changed; otherwise `cannot tell` if any is not determined, then
-    or now, or if the new recordings or their identification are of no use."""
+    or now, or if the new recordings or their identification are unusable."""
     summary: Text
     """The verdict in one line."""
 
@@ -175,7 +175,7 @@ def judge_drift(
     scales = _get_scales(first, tested)
     for run in runs:
         if _get_scales(run.result, tested) != scales:
-            raise RunError(f"{run.place}: other scales of its parameters than {runs[0].place}; leave it out")
+            raise RunError(f"{run.place}: its parameters have other scales than in {runs[0].place}; leave it out")
     rows = {label: _describe(runs, now, label) for label in tested}
     if determined := [label for label in tested if label in current]:
         earlier = Estimates(*np.moveaxis(np.array([[table[label] for label in determined] for table in tables]), 2, 0))
@@ -263,14 +263,14 @@ def _put_change(row: ParameterDrift, change: Differences, scale: str | float, ve
 
 
 def _find_failure(now: FittedDrive) -> str:
-    """Return why the new identification is of no use; empty if it is."""
+    """Return why the new identification is unusable; empty if it is usable."""
     failed, missing = now.result.not_identified, now.result.no_intervals
     why = f"the drive was not identified: {failed[0]}" if failed else f"no intervals: {missing}" if missing else ""
     return now.complaint or why
 
 
 def _conclude(rows: Sequence[ParameterDrift], untested: Sequence[str], failed: str) -> tuple[Verdict, str]:
-    """Return the overall verdict and its line; `failed` is why the new identification is of no use."""
+    """Return the overall verdict and its line; `failed` is why the new identification is unusable."""
     if failed:
         for row in rows:
             row.verdict = "cannot tell"

@@ -155,7 +155,7 @@ def _say_hair(best: Run, pairs: Mapping[tuple[str, str], Difference]) -> str:
         for words, labels in (("within noise", close["noise"]), ("worse", close["worse"]))
         if labels
     ]
-    return f" Near the limit of noise: {', '.join(groups)}; other rollouts may decide otherwise." if groups else ""
+    return f" Near the limit of noise: {', '.join(groups)}; other rollouts may change this." if groups else ""
 
 
 def _describe(run: Run, reference: Run | None) -> rows.ComparedRun:
