@@ -19,15 +19,7 @@ MAY_BE_ZERO = {
     *("change", "changed", "unchanged", "cannot_tell", "found"),
 }
 OF_THIS_PROCESS = {
-    "causes",
-    "checkup",
-    "coverage",
-    "drift",
-    "excitation",
-    "newcomer",
-    "recipe",
-    "reports",
-    "whole_robot",
+    *("causes", "checkup", "coverage", "drift", "excitation", "newcomer", "recipe", "reports", "whole_robot"),
 }
 """Scripts that change no setting of JAX and measure no process, and need none to themselves."""
 

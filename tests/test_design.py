@@ -1,7 +1,7 @@
 """The command to record next: within limits, soft, and what it says of the parameters beside what a fit then finds."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 import yaml
-from conftest import Finished, finish, job_settings
+from conftest import Finished, finish
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench, Force
@@ -23,23 +23,13 @@ from frictionzoo.design.information import SensorNoise, inform
 from frictionzoo.design.plan import Plan, Request
 from frictionzoo.simulation.context import computing
 
+pytestmark = pytest.mark.usefixtures("settings_kept")
+
 BOUNDS = {"position": "[-0.8,1.2]", "velocity": "4", "torque": "3"}
 SHORT = {
-    "seconds": "1.5",
-    "ramp": "0.2",
-    "starts": "2",
-    "iterations": "8",
-    "bandwidth": "4",
-    "segments.length": "100",
+    **{"seconds": "1.5", "ramp": "0.2", "starts": "2", "iterations": "8", "bandwidth": "4", "segments.length": "100"},
     "velocity_noise": "0.005",
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def settings_as_they_were(compilation_cache: Path) -> Iterator[None]:
-    """The command sets JAX's caches, for its whole process."""
-    with job_settings(compilation_cache):
-        yield
 
 
 @pytest.fixture

@@ -80,11 +80,7 @@ def test_a_drive_that_was_recorded_in_short_steps_is_within() -> None:
     """The twin moves in steps of 0.25 ms and is fitted in steps of 1 ms."""
     options = ("data=twin_clean", "data.samples=8000", "model=coulomb_stribeck", "fit=lm", "dtype=float64")
     options += (
-        "loss.refine=true",
-        "loss.velocity=1e-5",
-        "segments.length=20",
-        "device=cpu",
-        "evaluation.trajectory=1.0",
+        *("loss.refine=true", "loss.velocity=1e-5", "segments.length=20", "device=cpu", "evaluation.trajectory=1.0"),
     )
     settings: Any = OmegaConf.to_container(compose_config(*options, "data.cache_dir=null"), resolve=True)
     parts = Parts.from_settings(settings)

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
-from conftest import Finished, finish, job_settings
+from conftest import Finished, finish
 
 from frictionzoo.cli.finished import distill as main
 from frictionzoo.cli.finished import export
@@ -23,12 +23,7 @@ from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import read_runs
 
-
-@pytest.fixture(scope="module", autouse=True)
-def settings_as_they_were(compilation_cache: Path) -> Iterator[None]:
-    """Jobs set JAX's precision and caches, for their whole process."""
-    with job_settings(compilation_cache):
-        yield
+pytestmark = pytest.mark.usefixtures("settings_kept")
 
 
 @pytest.fixture

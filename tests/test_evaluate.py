@@ -36,14 +36,8 @@ def hold(values, qpos, qvel, signals, load):
 
 def evaluate(dataset, **changes):
     options = {
-        "horizons": [0.2, 0.1],
-        "rollouts": 5,
-        "placement": "random",
-        "trajectory": 0.5,
-        "window": 0.05,
-        "places": 7,
-        "local": 0.1,
-        "seed": 3,
+        **{"horizons": [0.2, 0.1], "rollouts": 5, "placement": "random", "trajectory": 0.5, "window": 0.05},
+        **{"places": 7, "local": 0.1, "seed": 3},
     }
     return Evaluator(dataset, "hinge", **(options | changes))
 

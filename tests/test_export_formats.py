@@ -330,12 +330,9 @@ def test_recorded_names_of_isaac_lab_are_those_of_the_package() -> None:
 
 READERS = {"mjlab": Mjlab().read, "isaaclab": IsaacLab().read}
 CONFIGURED = [
-    ("mjlab", "BuiltinPositionActuatorCfg", (LATE,)),
-    ("isaaclab", "DelayedPDActuatorCfg", (LATE,)),
-    ("isaaclab", "IdealPDActuatorCfg", ()),
-    ("isaaclab", "DCMotorCfg", DC_MOTOR),
-    ("mjlab", "DcMotorActuatorCfg", STS3215),
-    ("isaaclab", "IdealPDActuatorCfg", ROBOT),
+    *(("mjlab", "BuiltinPositionActuatorCfg", (LATE,)), ("isaaclab", "DelayedPDActuatorCfg", (LATE,))),
+    *(("isaaclab", "IdealPDActuatorCfg", ()), ("isaaclab", "DCMotorCfg", DC_MOTOR)),
+    *(("mjlab", "DcMotorActuatorCfg", STS3215), ("isaaclab", "IdealPDActuatorCfg", ROBOT)),
     ("mjlab", "BuiltinPositionActuatorCfg", RECORDED),
 ]
 

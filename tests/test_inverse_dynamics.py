@@ -1,11 +1,10 @@
 """Parameters from torque alone: motions whose torque MuJoCo C gives, and the equation that balances it."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -31,15 +30,11 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.registry import get_model
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 FILTERING = Filtering(bandwidth=20.0)
 SECTION = {"init": 0.5, "low": 1e-4, "high": 50.0, "scale": "log", "identify": True}
 SPREAD = np.repeat([0.2, 0.03, 0.3], [1, 3, 6])
-
-
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -148,7 +148,7 @@ def identify(bench: Bench, log: Log, law: Any, **how: Any) -> fz.Identified:
     evaluation = {"horizons": [0.2], "trajectory": 0.5}
     cut = {"length": 20, "count": 100}
     how |= {"recipe": "given", "test": 0.3, "segments": cut, "dtype": "float64", "evaluation": evaluation}
-    return fz.identify(bench, law, log, **how)
+    return fz.identify(bench, law, log, discretisation=False, **how)
 
 
 @pytest.fixture(scope="module")

@@ -219,10 +219,7 @@ def check(run: Path, finished: Finished, logger: str) -> None:
     for name, text in {"model": "coulomb_smooth", "data": "files", "fit": "adam", "dtype": "float64"}.items():
         assert told[name] == text
     for name, number in {
-        "seed": 0,
-        "segments.length": 5,
-        "fit.learning_rate": 0.01,
-        "fit.iterations": ITERATIONS,
+        **{"seed": 0, "segments.length": 5, "fit.learning_rate": 0.01, "fit.iterations": ITERATIONS},
     }.items():
         assert float(told[name]) == number
     assert not {name for name in told if name.endswith("_target_") or name.startswith(("logger", "resume"))}

@@ -30,20 +30,10 @@ LAWS = ("dahl", "dahl_load_dependent", "lugre", "lugre_load_dependent", "maxwell
 LOADED = ("dahl_load_dependent", "lugre_load_dependent", "torque_proportional")
 MASS = 95.0  # kg
 TRUTH = {
-    "stiffness": 2e5,
-    "coulomb_torque": 20.0,
-    "micro_damping": 300.0,
-    "static_torque": 26.0,
-    "kinetic_torque": 20.0,
-    "stribeck_velocity": 0.01,
-    "presliding": 2e-4,
-    "lag": 2e-3,
-    "load_friction": 0.02,
-    "stribeck_load_friction": 0.01,
-    "load_friction_driving": 0.1,
-    "load_friction_braking": 0.04,
-    "viscous_coefficient": 200.0,
-    "rest_velocity": 1e-3,
+    **{"stiffness": 2e5, "coulomb_torque": 20.0, "micro_damping": 300.0, "static_torque": 26.0},
+    **{"kinetic_torque": 20.0, "stribeck_velocity": 0.01, "presliding": 2e-4, "lag": 2e-3, "load_friction": 0.02},
+    **{"stribeck_load_friction": 0.01, "load_friction_driving": 0.1, "load_friction_braking": 0.04},
+    **{"viscous_coefficient": 200.0, "rest_velocity": 1e-3},
 }
 """Of the size of the EMPS carriage's: N, m, s."""
 

@@ -46,9 +46,7 @@ def test_a_section_becomes_a_parameter():
 @pytest.mark.parametrize(
     ("dimension", "hinge", "slide"),
     [
-        ("inertia", "kg m^2", "kg"),
-        ("torque", "N m", "N"),
-        ("damping", "N m s/rad", "N s/m"),
+        *(("inertia", "kg m^2", "kg"), ("torque", "N m", "N"), ("damping", "N m s/rad", "N s/m")),
         ("velocity", "rad/s", "m/s"),
     ],
 )

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -18,6 +17,8 @@ from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.simulation.proof import TOLERANCE, Recorded, prove
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 STEP, NAMES = 0.002, ("waist", "shoulder", "elbow", "wrist")
 KNOWN = {"armature": {"identify": False}}
 ACTUATORS = {
@@ -28,12 +29,6 @@ ACTUATORS = {
     "none": "",
 }
 OF_PD = ("position", "stiff", "velocity", "none")
-
-
-@pytest.fixture(autouse=True)
-def x64() -> object:
-    with jax.enable_x64(True):
-        yield
 
 
 def write(folder: Path, kinds: Sequence[str], rest: str = "", seed: int = 0) -> str:

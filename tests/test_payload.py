@@ -1,6 +1,6 @@
 """Payloads: a recording's own mass on the bench, in both engines, in a fit over several recordings, and refused."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -34,12 +34,6 @@ PAYLOADS = [
 TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
 
 
-@pytest.fixture
-def x64(in_haste: None) -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
-
-
 def make_bench(
     tmp_path: Path, body: str, joints: int, payload: str | None = "carrier", armature: float = 0.02
 ) -> Bench:
@@ -71,7 +65,7 @@ def test_a_load_does_not_know_where_the_armature_begins(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loads, np.broadcast_to(loads[0], np.shape(loads)))
 
 
-@pytest.mark.usefixtures("x64")
+@pytest.mark.usefixtures("in_haste", "x64")
 @pytest.mark.parametrize(
     ("body", "constraint", "kind"),
     slow_but(

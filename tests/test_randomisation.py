@@ -185,11 +185,8 @@ def another_law(finished_run: Callable[[str], tuple[Path, Finished]]) -> Identif
 
 
 EVERYTHING = {
-    "bench.armature": [0.9, 1.1],
-    "friction.static_torque": [0.9, 1.2],
-    "friction.kinetic_torque": [0.5, 1.0],
-    "friction.stribeck_velocity": [0.8, 1.2],
-    "friction.viscous_coefficient": [0.7, 1.3],
+    **{"bench.armature": [0.9, 1.1], "friction.static_torque": [0.9, 1.2], "friction.kinetic_torque": [0.5, 1.0]},
+    **{"friction.stribeck_velocity": [0.8, 1.2], "friction.viscous_coefficient": [0.7, 1.3]},
 }
 
 
@@ -415,12 +412,8 @@ class Articulation(SimpleNamespace):
 
 
 WRITTEN = {
-    "armature": "armature",
-    "joint_friction_coeff": "static",
-    "joint_dynamic_friction_coeff": "dynamic",
-    "joint_viscous_friction_coeff": "viscous",
-    "stiffness": "kp",
-    "damping": "kd",
+    **{"armature": "armature", "joint_friction_coeff": "static", "joint_dynamic_friction_coeff": "dynamic"},
+    **{"joint_viscous_friction_coeff": "viscous", "stiffness": "kp", "damping": "kd"},
 }
 RECORDED = load_recorded()
 ISAAC_LABS = {"2": RECORDED["2"]["writers"]["physx"], **RECORDED["3"]["writers"]}

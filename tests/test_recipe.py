@@ -157,13 +157,8 @@ USUAL: dict[str, Any] = {"position": 1.0, "velocity": 0.1, "robust": "none", "ro
 @pytest.mark.parametrize(
     "given",
     [
-        {},
-        {"robust": "huber"},
-        {"velocity": 0.0, "robust": "huber"},
-        {"velocity": 0.0},
-        {"impulse": True, "slow": 0.1},
-        {"continuity": 1.0},
-        {"refine": False},
+        *({}, {"robust": "huber"}, {"velocity": 0.0, "robust": "huber"}, {"velocity": 0.0}),
+        *({"impulse": True, "slow": 0.1}, {"continuity": 1.0}, {"refine": False}),
     ],
     ids=str,
 )

@@ -246,9 +246,7 @@ def test_includes_and_meshes_lie_beside_the_file(tmp_path: Path) -> None:
 
 
 PUBLISHED = {
-    "go2/go2.xml": 12,
-    "go2/go2_published.xml": 12,
-    "kuka_lwr4/kuka_lwr4.urdf": 7,
+    **{"go2/go2.xml": 12, "go2/go2_published.xml": 12, "kuka_lwr4/kuka_lwr4.urdf": 7},
     "kuka_lwr4/kuka_lwr4_cogimon.urdf": 7,
 }
 

@@ -46,11 +46,8 @@ def bench(path: Path, integrator: str, timestep: float, second_order: bool = Tru
 
 def law() -> fz.FrictionModel:
     values = {
-        "static_torque": STATIC,
-        "kinetic_torque": KINETIC,
-        "stribeck_velocity": STRIBECK,
-        "smoothing_velocity": SMOOTHING,
-        "viscous_coefficient": VISCOUS,
+        **{"static_torque": STATIC, "kinetic_torque": KINETIC, "stribeck_velocity": STRIBECK},
+        **{"smoothing_velocity": SMOOTHING, "viscous_coefficient": VISCOUS},
     }
     return fz.law("coulomb_stribeck", params={n: {"init": value, "high": 2.0} for n, value in values.items()})
 

@@ -1,6 +1,5 @@
 """The engines against MuJoCo C, which is the oracle, and rollouts against repeated steps."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +21,14 @@ from frictionzoo.simulation.fold import CannotSpecialiseError, specialise
 from frictionzoo.simulation.linear import rows_of
 from frictionzoo.simulation.rollout import make_rollout
 
+pytestmark = pytest.mark.usefixtures("in_haste", "x64")
+
 INTEGRATORS = {
     "Euler": ('integrator="Euler"', ""),
     "Euler, explicit damping": ('integrator="Euler"', '<flag eulerdamp="disable"/>'),
     "implicitfast": ('integrator="implicitfast"', ""),
     "implicitfast, no damper": ('integrator="implicitfast"', '<flag damper="disable"/>'),
 }
-
-
-@pytest.fixture(autouse=True)
-def x64(in_haste: None) -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def make_bench(tmp_path: Path, body: str, integrator: str = "Euler", joints: int = 1, inside: str = "") -> Bench:

@@ -12,9 +12,7 @@ import pytest
 from conftest import ROOT
 
 CLOSED = {
-    "from the start": ">&-",
-    "errors too": ">&- 2>&-",
-    "after a line": "| head -c 1 > /dev/null",
+    **{"from the start": ">&-", "errors too": ">&- 2>&-", "after a line": "| head -c 1 > /dev/null"},
     "all": "<&- >&-",
 }
 

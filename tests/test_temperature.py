@@ -31,7 +31,7 @@ from frictionzoo.result.comparison.runs import read_runs
 from frictionzoo.simulation import Values, friction_of, make_engine
 from frictionzoo.simulation.rollout import make_rollout
 
-pytestmark = pytest.mark.usefixtures("in_haste")
+pytestmark = pytest.mark.usefixtures("in_haste", "unrendered")
 
 LAWS = ("temperature_linear", "temperature_arrhenius")
 REFERENCE = 25.0  # degC, by default
@@ -262,7 +262,6 @@ def parameters(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
 def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Finished]], tmp_path: Path) -> None:
     """Both are judged on the same rollouts as other laws, exported, and followed by other laws."""
     warm, said = runs("temperature_linear", "data.columns.temperature=warm")
@@ -278,14 +277,13 @@ def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Fini
         assert without[key]["value"] == pytest.approx(other[key]["value"], rel=0.01)
     read_runs([warm, cold, plain])  # refuses runs that were judged on other rollouts
 
-    for folder in (warm, cold):
+    for folder, targets in ((warm, ["all"]), (cold, ["mjcf", "mujoco", "onnx"])):
         assert Identified.load(folder).samples.temperature is not None
-        written = write_exports(folder, {"target": "all"})
+        written = {one.target: one.export for target in targets for one in write_exports(folder, {"target": target})}
         for target, quantity, promise in (("mujoco", "qpos", 1e-9), ("onnx", "torque", 1e-12)):
-            (export,) = [one.export for one in written if one.target == target]
-            assert export.differences[0].quantity == quantity and export.differences[0].largest < promise
-        (mjcf,) = [one.export for one in written if one.target == "mjcf"]
-        assert "is the frictionloss and damping below, at temperature 25 and at no other" in mjcf.limits[0]
+            (difference, *_) = written[target].differences
+            assert difference.quantity == quantity and difference.largest < promise
+        assert "is the frictionloss and damping below, at temperature 25 and at no other" in written["mjcf"].limits[0]
     drive = load_module(warm / "export" / "mujoco" / "drive.py")
     assert drive.OBSERVED == {"temperature": 25.0} and drive.INPUTS == ()
 

@@ -48,11 +48,8 @@ class NotFiniteAtRest(TorchConstraint):
 
 
 LAWS = {
-    "torch_stribeck": TorchStribeck,
-    "torch_constraint": TorchConstraint,
-    "remembers": Remembers,
-    "normalises": NormalisesTheBatch,
-    "not_finite": NotFiniteAtRest,
+    **{"torch_stribeck": TorchStribeck, "torch_constraint": TorchConstraint, "remembers": Remembers},
+    **{"normalises": NormalisesTheBatch, "not_finite": NotFiniteAtRest},
 }
 
 

@@ -11,12 +11,8 @@ import numpy as np
 from frictionzoo.data.recording import Recording
 
 SIGNALS = {
-    "qpos": "position",
-    "qvel": "speed",
-    "ctrl": "goal_position",
-    "supply": "input_volts",
-    "enable": "torque_enable",
-    "temperature": "temp",
+    **{"qpos": "position", "qvel": "speed", "ctrl": "goal_position", "supply": "input_volts"},
+    **{"enable": "torque_enable", "temperature": "temp"},
 }
 
 

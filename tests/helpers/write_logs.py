@@ -248,33 +248,22 @@ def write_zip(path: Path, columns: Columns) -> Path:
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {
-    "csv": ("log.csv", write_csv),
-    "parquet": ("log.parquet", write_parquet),
-    "npz": ("log.npz", write_npz),
-    "pt": ("log.pt", write_pt),
-    "mat": ("log.mat", write_mat),
-    "bam": ("log.json", write_bam),
-    "zip": ("log.zip", write_zip),
-    "mcap": ("log.mcap", write_mcap),
-    "ros2bag": ("bag", write_sqlite_bag),
-    "ros1bag": ("log.bag", write_bag_1),
-    "lerobot": ("dataset", write_lerobot),
+    **{"csv": ("log.csv", write_csv), "parquet": ("log.parquet", write_parquet), "npz": ("log.npz", write_npz)},
+    **{"pt": ("log.pt", write_pt), "mat": ("log.mat", write_mat), "bam": ("log.json", write_bam)},
+    **{"zip": ("log.zip", write_zip), "mcap": ("log.mcap", write_mcap), "ros2bag": ("bag", write_sqlite_bag)},
+    **{"ros1bag": ("log.bag", write_bag_1), "lerobot": ("dataset", write_lerobot)},
 }
 """For each format the name of a file or folder, and what writes one."""
 
 ROS_COLUMNS = {
-    "time": "/joint_states/time",
-    "qpos": "/joint_states/position[knee]",
-    "qvel": "/joint_states/velocity[knee]",
+    **{"time": "/joint_states/time", "qpos": "/joint_states/position[knee]", "qvel": "/joint_states/velocity[knee]"},
     "ctrl": "/command/data[0]",
 }
 OPTIONS: dict[str, dict[str, str]] = {
     **{name: {} for name in ("csv", "parquet", "npz", "pt", "mat", "bam", "zip")},
     **{name: ROS_COLUMNS for name in ("mcap", "ros1bag", "ros2bag")},
     "lerobot": {
-        "time": "timestamp",
-        "qpos": "observation.state[knee.pos]",
-        "qvel": "observation.state[knee.vel]",
+        **{"time": "timestamp", "qpos": "observation.state[knee.pos]", "qvel": "observation.state[knee.vel]"},
         "ctrl": "action[knee.pos]",
     },
 }
