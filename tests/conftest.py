@@ -92,7 +92,6 @@ def pytest_runtest_setup() -> Iterator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call() -> Iterator[None]:
-    """As above."""
     with _ending_in_time():
         yield
 

@@ -82,7 +82,6 @@ How = Callable[[str, Place], object]  # what it returns must not be false
 
 
 def arguments_of(command: str) -> list[str]:
-    """What follows the program."""
     return shlex.split(re.sub(rf"^(?:{JOB}|python -m \S+ )", "", command))
 
 
@@ -196,7 +195,6 @@ def list_reproduced() -> set[str]:
 
 
 def loads(command: str, _: Place) -> object:
-    """The data set that it names."""
     arguments = _name_files(arguments_of(command))
     settings = OmegaConf.to_container(compose_config(*arguments, "data.split.gap=0.05"), resolve=True)
     return build(settings["data"]).load().test

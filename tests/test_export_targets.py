@@ -70,13 +70,11 @@ class Rubbing(FrictionModel):
     memory = 1
 
     def terms(self, xp, values, state):
-        """Every term."""
         pressed = 0.1 + 0.05 * xp.abs(state.external_torque) + 0.05 * xp.tanh(state.qpos) ** 2
         turning = 0.02 + 0.01 * xp.tanh(state.motor_torque) ** 2
         return FrictionTerms(torque=0.03 * xp.tanh(state.qvel), frictionloss=pressed, damping=turning)
 
     def advance(self, xp, values, state, memory, timestep):
-        """Every term, and the spring."""
         torque, frictionloss, damping = self.terms(xp, values, state)
         bent = xp.clip(memory[..., 0] + timestep * state.qvel, -0.02, 0.02)
         return FrictionTerms(torque + 2 * memory[..., 0], frictionloss, damping), bent[..., None]
@@ -167,7 +165,6 @@ LEANING = """<mujoco><compiler angle="radian"/><option timestep="0.001" gravity=
 
 @pytest.fixture(scope="module")
 def benches(tmp_path_factory):
-    """Folder of the benches `arm` and `leaning`."""
     folder = tmp_path_factory.mktemp("benches")
     for name, text in {"arm": ARM, "leaning": LEANING}.items():
         (folder / f"{name}.xml").write_text(text)
@@ -422,7 +419,6 @@ class Hidden(FrictionModel):
     name, table = "hidden", np.ones(1)
 
     def terms(self, xp, values, state):
-        """Asks an object."""
         return FrictionTerms(torque=self.table * state.qvel)
 
 

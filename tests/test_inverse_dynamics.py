@@ -45,7 +45,6 @@ def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def bench_of(path: Path, **params: Any) -> Bench:
-    """The arm, driven by torque."""
     return Bench(str(path), JOINTS, actuator=Force(), params={"armature": SECTION | {"low": 1e-4}} | params)
 
 

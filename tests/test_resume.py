@@ -89,7 +89,6 @@ def test_ended_elsewhere_and_resumed_is_as_if_nothing_had_happened(
 
 
 def read_files(folder: Path) -> dict[Path, bytes]:
-    """All files in a folder but its list of files."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST}
 
 
@@ -202,7 +201,6 @@ def test_a_resumed_sweep_has_to_be_one(
 def pose(
     call: Callable, pose_problem: Callable[[Any], Problem], compose: Callable, tiny: tuple[str, ...]
 ) -> Callable[..., Problem]:
-    """A problem, by its options."""
     plain = OmegaConf.to_container(compose(*tiny, "model=coulomb_smooth"), resolve=True)
 
     def pose(*overrides: str) -> Problem:

@@ -32,7 +32,6 @@ def recorded() -> Dataset:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """The arm as its file has it, whose forearm is too light."""
     path = tmp_path_factory.mktemp("arm") / "arm.xml"
     path.write_text(ARM)
     return Bench(str(path), ["shoulder", "elbow"], actuator=Force(), params={"armature": {"init": 0.05}})

@@ -226,7 +226,6 @@ def test_what_needs_more_than_a_gradient_is_refused_in_one_line(
 
 @pytest.fixture
 def whole(call: Callable[..., Finished], tiny: tuple[str, ...], tmp_path: Path) -> Path:
-    """A run."""
     own = ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "dtype=float32")
     finished = call(*tiny, *own, "fit.iterations=3", f"hydra.run.dir={tmp_path / 'whole'}")
     assert finished.status == 0, finished.err

@@ -117,7 +117,6 @@ def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: b
 
 
 def write_bag_1(path: Path, columns: Columns) -> Path:
-    """The same in a bag of ROS 1."""
     return write_ros1(path, ((topic, _to_ros1(message), at) for topic, message, at in _list_messages(columns)))
 
 
@@ -142,7 +141,6 @@ def joint_state(stamp: int, qpos: float, qvel: float, name: str = "knee"):
 
 
 def joint_states(stamp: int, qpos: Mapping[str, float], qvel: Mapping[str, float], effort: Mapping[str, float]):
-    """The state of several joints by name."""
     types = STORE.types
     time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
     numbers = (np.array([*values.values()], dtype=float) for values in (qpos, qvel, effort))
@@ -150,7 +148,6 @@ def joint_states(stamp: int, qpos: Mapping[str, float], qvel: Mapping[str, float
 
 
 def command(value: float):
-    """One command."""
     layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
     return STORE.types[COMMAND](layout=layout, data=np.array([value], dtype=float))
 
