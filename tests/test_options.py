@@ -23,6 +23,7 @@ from frictionzoo.core.config import check_overrides, compose_config, list_option
 from frictionzoo.core.declared import section_of
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.state import DriveState
+from frictionzoo.data import files
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
 from frictionzoo.identification import problem
@@ -95,6 +96,8 @@ def judge(call: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ca
     monkeypatch.setattr(problem, "prove", lambda *_: Proof(0.0, 0.0, 1, 1))
     monkeypatch.setattr(problem, "_training_samples", seen)
     monkeypatch.setattr(loop, "FitModule", begin)
+    read, tables = files.read_tables, {}
+    monkeypatch.setattr(files, "read_tables", lambda *a: tables.get(repr(a)) or tables.setdefault(repr(a), read(*a)))
 
     def judge(config: DictConfig, plain: DictConfig, key: str, value: Any) -> str | None:
         before = functools.reduce(operator.getitem, key.split("."), OmegaConf.to_container(config))

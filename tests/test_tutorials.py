@@ -15,7 +15,7 @@ from helpers.tutorials import DOCS, ENCODER, LEG, SUBSTEPS, code_of, write_robot
 import frictionzoo as fz
 from frictionzoo.models.registry import REGISTRY
 
-pytestmark = pytest.mark.usefixtures("in_haste")
+pytestmark = pytest.mark.usefixtures("in_haste", "unrendered")
 STAND = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><worldbody><body>
 <joint name="shaft" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.3"/>
 </body></worldbody></mujoco>"""
