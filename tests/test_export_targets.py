@@ -110,12 +110,8 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     time = interval * np.arange(-history, steps)[:, None]
     swings = np.stack([0.5 * np.sin(30 * time + phase + np.arange(bench.nv)) for phase in (0.3, 2.0)])
     inputs = {"gain": 20.0, "supply": 48.0, "enable": 1.0, "temperature": 40 + 10 * np.sin(20 * time)}
-    inputs |= {
-        "kp": 20 + np.cos(9 * time),
-        "kd": 1.0,
-        "ctrl_velocity": np.cos(30 * time),
-        "ctrl_torque": np.sin(9 * time),
-    }
+    inputs |= {"kp": 20 + np.cos(9 * time), "kd": 1.0}
+    inputs |= {"ctrl_velocity": np.cos(30 * time), "ctrl_torque": np.sin(9 * time)}
     recorded = {name: np.full_like(swings, inputs[name]) for name in bench.inputs}
     states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, steps + 1, bench.nv))
     load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
