@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -182,9 +181,7 @@ def test_a_command_beyond_a_limit_in_mujoco_c_is_refused(knee: Bench) -> None:
             _refuse_beyond(np.array([[0.9], [0.9], [0.9], [0.9], [share]]), knee)
 
 
-def test_a_runs_drive_gets_its_next_command(
-    finished_run: Callable[[str], tuple[Path, Finished]], command: Callable[..., Finished], tmp_path: Path
-) -> None:
+def test_a_runs_drive_gets_its_next_command(finished_run, command, tmp_path):
     """Within limits along its motion in MuJoCo C; its files say the same; a second one does not replace it."""
     run, folder = finished_run("mujoco_default")[0], tmp_path / "next"
     finished = command(str(run), **BOUNDS, **SHORT, output=str(folder))

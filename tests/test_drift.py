@@ -124,9 +124,7 @@ def test_what_is_not_determined_is_not_told(drive: fz.Identified) -> None:
     jsonschema.Draft202012Validator(read_schema()).validate(to_json(refused))
 
 
-def test_runs_that_do_not_fit_are_refused(
-    drive: fz.Identified, leg: Callable, tmp_path: Path, monkeypatch: Any
-) -> None:
+def test_runs_that_do_not_fit_are_refused(drive, leg, tmp_path, monkeypatch):
     logs: list[fz.Log] = []  # refused before they are read
     nothing = dataclasses.replace(drive, result=changed(drive.result, covariance=None, no_intervals="of a network"))
     with pytest.raises(RunError, match="of a network, expected intervals"):

@@ -257,9 +257,7 @@ def test_what_cleaning_changed_is_said_once(files: Make, tmp_path: Path, caplog:
 
 
 @pytest.mark.parametrize("name", ["sts3215", "xl330"])
-def test_recordings_that_are_not_there_get_a_line_on_where_to_obtain_them(
-    make: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
+def test_recordings_that_are_not_there_get_a_line_on_where_to_obtain_them(make, monkeypatch, tmp_path, name):
     monkeypatch.delenv("FRICTIONZOO_DATA", raising=False)
     with pytest.raises(LogError, match=rf"data\.folder=null: .*FRICTIONZOO_DATA.* holds {name}.*https://github\.com"):
         make("data", f"data={name}").load()

@@ -344,9 +344,7 @@ def test_links_and_gravity_that_cannot_be_are_refused(options: dict[str, Any], o
         bench.with_gravity([0, 1])
 
 
-def test_a_job_finds_a_servo_by_its_torque(
-    tiny: tuple[str, ...], compilation_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_finds_a_servo_by_its_torque(tiny, compilation_cache, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with job_settings(compilation_cache):
         done = run_main(*tiny, "model=mujoco_default", "fit=inverse_dynamics", f"hydra.run.dir={tmp_path / 'run'}")

@@ -229,9 +229,7 @@ def test_states_and_commands_of_any_type_are_computed_in_the_finest(bench: fz.Be
 
 @pytest.mark.parametrize("place", ["qpos", "qvel", "ctrl"])
 @pytest.mark.parametrize("spoil", NO_NUMBERS)
-def test_a_state_that_holds_no_numbers_is_refused_by_name(
-    bench: fz.Bench, place: str, spoil: Callable[[torch.Tensor], Any]
-) -> None:
+def test_a_state_that_holds_no_numbers_is_refused_by_name(bench, place, spoil):
     arrays: dict[str, Any] = dict(zip(("qpos", "qvel", "ctrl"), whole(), strict=True))
     arrays[place] = spoil(arrays[place])
     with pytest.raises(ConfigError, match=f"^{place}: "):
@@ -313,9 +311,7 @@ def test_the_page_s_loop_finds_its_drive(capsys: pytest.CaptureFixture[str]) -> 
     np.testing.assert_allclose([float(word) for word in capsys.readouterr().out.split()], [0.04, 0.2, 0.1], rtol=0.01)
 
 
-def test_the_page_reads_a_run_back(
-    finished_run: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_reads_a_run_back(finished_run, tmp_path, monkeypatch, capsys):
     folder, finished = finished_run("mujoco_default")
     (tmp_path / "run").symlink_to(folder)
     monkeypatch.chdir(tmp_path)

@@ -132,9 +132,7 @@ def judge(call: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ca
         *(f"fit.iterations={10**9}", f"segments.count={10**9}"),
     ],
 )
-def test_a_problem_of_an_absurd_size_is_refused_by_its_option(
-    judge: Callable, tiny: tuple[str, ...], arguments: str
-) -> None:
+def test_a_problem_of_an_absurd_size_is_refused_by_its_option(judge, tiny, arguments):
     """Or begins: a fit of many iterations, as many segments as there are, and rollouts as long as the recordings."""
     *choices, last = arguments.split()
     key, value = parse(last)
@@ -226,9 +224,7 @@ def absurd_values(prefix: str, config: DictConfig) -> Iterator[tuple[str, Any]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("choices", "prefix"), PROBLEMS, ids=[choices[0] for choices, _ in PROBLEMS])
-def test_no_value_of_any_option_is_a_traceback(
-    judge: Callable, tiny: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, choices: tuple[str, ...], prefix: str
-) -> None:
+def test_no_value_of_any_option_is_a_traceback(judge, tiny, monkeypatch, choices, prefix):
     monkeypatch.setattr(loggers, "_require", lambda *packages: None)  # loggers whose package is not installed
     simulated = choices[0].startswith("data=t")
     small = [option for option in tiny if not (simulated and option.startswith("data"))]

@@ -63,9 +63,7 @@ def record(joints: int, commands: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("of", [OF_PD, ("motor", "none")], ids=["controllers", "motors"])
 @pytest.mark.parametrize("seed", range(4))
-def test_joints_with_and_without_actuators_move_as_in_the_makers_file(
-    seed: int, of: Sequence[str], tmp_path: Path
-) -> None:
+def test_joints_with_and_without_actuators_move_as_in_the_makers_file(seed, of, tmp_path):
     kinds = draw_kinds(seed, of)
     path = write(tmp_path, kinds, seed=seed)
     robot = fz.Robot(path, params=KNOWN)

@@ -168,9 +168,7 @@ def test_a_drive_without_intervals_or_parameters_is_refused(drive: Identified) -
         draw_variants(replace(bare, result=known), COUNT, 0, {})
 
 
-def test_the_command_takes_ranges(
-    finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_takes_ranges(finished_run, tmp_path, capsys):
     ranges = "ranges={bench.armature: [0.8, 1.2], friction.frictionloss: {low: 0.1, high: 1}, friction.damping: [1, 3]}"
     run = str(finished_run("mujoco_default")[0])
     main([run, "target=randomisation", ranges, "count=5", "files=1", f"output={tmp_path / 'drives'}"])

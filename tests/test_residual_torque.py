@@ -95,9 +95,7 @@ class OnlyInTorch(TorchFriction):
         return FrictionTerms(torque=0.1 * torch.tanh(state.qvel))
 
 
-def test_where_there_is_nothing_to_compare_nothing_is_said(
-    stand: Callable[..., Bench], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_where_there_is_nothing_to_compare_nothing_is_said(stand, caplog):
     pd, torques = stand(JointPD({"kp": {"init": 400.0}, "kd": {"init": 40.0}})), stand(Force())
     log = record(torques, 0)
     assert measure(pd, true_law(), [log], [log]) is None

@@ -105,9 +105,7 @@ def test_one_finding_is_never_nothing(good: Result, path: str, value: Any, grade
 
 
 @pytest.mark.parametrize(("ended", "is_heavy"), [("low", True), ("high", False), ("one", False)])
-def test_an_armature_at_its_lower_bound_in_every_joint_means_heavy_links(
-    good: Result, ended: str, is_heavy: bool
-) -> None:
+def test_an_armature_at_its_lower_bound_in_every_joint_means_heavy_links(good, ended, is_heavy):
     spoilt = copy.deepcopy(good)
     armature = next(p for p in spoilt.parameters if p.name == "armature")
     rows = [copy.deepcopy(armature.by_joint[0]) for _ in range(3)]
