@@ -80,10 +80,8 @@ def check_result(result: dict, name: str) -> None:
     ends = {"adam": (3, "finished"), "grid": (2**3, "finished"), "lm": (fit["iterations"], "converged")}
     assert (fit["iterations"], fit["stopped"]) == ends[fit["method"]]
     assert 0 <= fit["best_iteration"] < fit["iterations"]
-    assert (
-        sum(result["timing"][part] for part in ("setup", "compile", "fit", "uncertainty", "evaluate"))
-        <= result["timing"]["total"]
-    )
+    parts = (result["timing"][part] for part in ("setup", "compile", "fit", "uncertainty", "evaluate"))
+    assert sum(parts) <= result["timing"]["total"]
 
 
 def check_friction(run: Path, module: FrictionModel, result: dict) -> None:

@@ -110,9 +110,8 @@ def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(call, 
     with occupy(folder, wait=False):
         refused = call(f"resume={folder}")
     assert refused.status == 2
-    assert (
-        refused.err.startswith(f"frictionzoo: {folder}: another process works in it") and refused.err.count("\n") == 1
-    )
+    assert refused.err.startswith(f"frictionzoo: {folder}: another process works in it")
+    assert refused.err.count("\n") == 1
     assert call(f"resume={folder}").status == 0
     assert_same(folder, expected)
 

@@ -119,10 +119,8 @@ def test_one_column_serves_all_joints_or_there_is_one_a_joint(arm: Bench) -> Non
         seen = log.signals.observed["temperature"]
         np.testing.assert_array_equal(seen, np.broadcast_to(columns, (40, 2)))
         cut = cut_segments([log], None, 10).signals
-        assert (
-            cut.ctrl.shape == (3, 10, 2)
-            and cut.observed["temperature"].tolist() == seen[:30].reshape(3, 10, 2).tolist()
-        )
+        assert cut.ctrl.shape == (3, 10, 2)
+        assert cut.observed["temperature"].tolist() == seen[:30].reshape(3, 10, 2).tolist()
         assert log.between(10, 20, "part").observed["temperature"].tolist() == seen[10:20].tolist()
     assert arm.accept(make_log(arm, None)).observed["temperature"].tolist() == 40 * [[25.0, 25.0]]
     with pytest.raises(BenchError, match=r"a\.csv: temperature has 3 columns, expected 1 for all joints or 2, one a"):
