@@ -193,9 +193,7 @@ def test_a_resumed_sweep_has_to_be_one(tmp_path, monkeypatch, arguments, option)
 
 
 @pytest.fixture
-def pose(
-    call: Callable, pose_problem: Callable[[Any], Problem], compose: Callable, tiny: tuple[str, ...]
-) -> Callable[..., Problem]:
+def pose(call, pose_problem, compose, tiny):
     plain = OmegaConf.to_container(compose(*tiny, "model=coulomb_smooth"), resolve=True)
 
     def pose(*overrides: str) -> Problem:

@@ -236,9 +236,7 @@ def test_each_joint_has_its_own_temperature_in_a_step(make: Callable[..., Any], 
 
 
 @pytest.fixture
-def runs(
-    call: Callable[..., Finished], recording: Path, tiny: tuple[str, ...], tmp_path: Path
-) -> Callable[..., tuple[Path, Finished]]:
+def runs(call, recording, tiny, tmp_path):
     """Identifies a drive from the recording of tests with a temperature beside it; its folder, and what it said."""
     table = np.loadtxt(recording, delimiter=",", skiprows=1)
     warm = np.linspace(20, 60, len(table))[:, None]
