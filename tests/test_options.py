@@ -14,6 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from jaxtyping import TypeCheckError
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo.bench.given import Given
 from frictionzoo.cli import job
 from frictionzoo.cli.explain import explain
 from frictionzoo.cli.overrides import refuse_no_choice
@@ -23,7 +24,6 @@ from frictionzoo.core.config import check_overrides, compose_config, list_option
 from frictionzoo.core.declared import section_of
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.state import DriveState
-from frictionzoo.data import files
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
 from frictionzoo.identification import problem
@@ -96,8 +96,14 @@ def judge(call: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ca
     monkeypatch.setattr(problem, "prove", lambda *_: Proof(0.0, 0.0, 1, 1))
     monkeypatch.setattr(problem, "_training_samples", seen)
     monkeypatch.setattr(loop, "FitModule", begin)
-    read, tables = files.read_tables, {}
-    monkeypatch.setattr(files, "read_tables", lambda *a: tables.get(repr(a)) or tables.setdefault(repr(a), read(*a)))
+    read, given = Given.read, {}
+
+    def read_once(settings: Any) -> Given:
+        sections = repr([settings.get(name) for name in ("data", "bench", "model")])
+        found = given[sections] = given.get(sections) or read(settings)
+        return found._replace(settings={**settings, "bench": found.settings["bench"]})
+
+    monkeypatch.setattr(Given, "read", read_once)
 
     def judge(config: DictConfig, plain: DictConfig, key: str, value: Any) -> str | None:
         before = functools.reduce(operator.getitem, key.split("."), OmegaConf.to_container(config))
