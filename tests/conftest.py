@@ -348,6 +348,13 @@ def job_settings(compilation_cache: Path) -> Iterator[None]:
     _configure_jax(before)
 
 
+@pytest.fixture(scope="module")
+def settings_kept(compilation_cache: Path) -> Iterator[None]:
+    """After the tests of a file, the settings of the process are as they were."""
+    with job_settings(compilation_cache):
+        yield
+
+
 def finish(command: Callable[[], None]) -> Finished:
     """Does in this process what a command does in its own."""
     out, err, status = io.StringIO(), io.StringIO(), 0

@@ -15,16 +15,10 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bam import friction_budget
 from frictionzoo.fit.chunk import search
-from frictionzoo.identification import Problem
 from frictionzoo.models import get_model
 
 
-def test_bams_own_equations_are_followed_and_identified(
-    compose: Callable[..., Any],
-    pose_problem: Callable[[Any], Problem],
-    write_bam_file: Callable[..., Path],
-    tmp_path: Path,
-) -> None:
+def test_bams_own_equations_are_followed_and_identified(compose, pose_problem, write_bam_file, tmp_path):
     """With the law that has all terms, over 3 s of motion by 1 rad; steps of 0.5 ms against 0.2 ms.
 
     kt and R are known: at a constant supply, back-EMF kt^2 / R and damping brake alike, and only their sum shows.
@@ -98,9 +92,7 @@ def test_the_command_prints_options(write_bam_file: Callable[..., Path], capsys:
         (M1 | {"armature": float("nan")}, "armature is nan"),
     ],
 )
-def test_a_file_that_we_cannot_hold_is_refused(
-    write_bam_file: Callable[..., Path], capsys: pytest.CaptureFixture[str], bam: dict[str, Any], message: str
-) -> None:
+def test_a_file_that_we_cannot_hold_is_refused(write_bam_file, capsys, bam, message):
     path = write_bam_file(bam)
     with pytest.raises(ConfigError, match=message):
         read_bam(path)

@@ -5,7 +5,6 @@ import runpy
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from conftest import ROOT, job_settings, needs_data
@@ -19,15 +18,7 @@ MAY_BE_ZERO = {
     *("change", "changed", "unchanged", "cannot_tell", "found"),
 }
 OF_THIS_PROCESS = {
-    "causes",
-    "checkup",
-    "coverage",
-    "drift",
-    "excitation",
-    "newcomer",
-    "recipe",
-    "reports",
-    "whole_robot",
+    *("causes", "checkup", "coverage", "drift", "excitation", "newcomer", "recipe", "reports", "whole_robot"),
 }
 """Scripts that change no setting of JAX and measure no process, and need none to themselves."""
 
@@ -35,9 +26,7 @@ OF_THIS_PROCESS = {
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize("script", [pytest.param(s, marks=needs_data) if s in ON_RECORDINGS else s for s in QUICKEST])
-def test_a_benchmark_measures(
-    script: str, tmp_path: Path, compilation_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_benchmark_measures(script, tmp_path, compilation_cache, monkeypatch):
     arguments, rows = QUICKEST[script]
     out = tmp_path / "results" / "measured.json"
     program = [str(BENCHMARKS / f"{script}.py"), "--out", str(out), *shlex.split(arguments)]

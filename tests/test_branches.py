@@ -74,7 +74,6 @@ class Viscous(MujocoDefault):
     constraint = False
 
     def terms(self, xp: Any, values: Any, state: DriveState) -> FrictionTerms:
-        """The torque."""
         return FrictionTerms(torque=values["damping"] * state.qvel)
 
 
@@ -82,7 +81,6 @@ class Coupled(Viscous):
     """The same with the mean velocity of all joints."""
 
     def terms(self, xp: Any, values: Any, state: DriveState) -> FrictionTerms:
-        """The torque."""
         return FrictionTerms(torque=values["damping"] * (state.qvel + 0.1 * state.qvel.sum(-1)[..., None]))
 
 

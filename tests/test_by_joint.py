@@ -185,10 +185,7 @@ def test_the_record_tells_links_beside_their_makers(result: Any) -> None:
     first, second = result["links"]["base"]
     assert first["determined"] and not second["determined"] and result["links"]["determined"] == 1
     assert to_json(second) == {
-        "combination": "mx FL_thigh + my FL_thigh",
-        "value": 0.01,
-        "error": None,
-        "determined": False,
+        **{"combination": "mx FL_thigh + my FL_thigh", "value": 0.01, "error": None, "determined": False},
     }
 
 

@@ -104,9 +104,7 @@ def test_its_page_has_what_hubs_read_and_every_value(card: Path, run: Path) -> N
     assert re.search(r"^frictionzoo model=coulomb_stribeck fit=lm .*'?data\.train=\[knee\.csv\]'? ", page, re.M)
 
 
-def test_it_names_no_path_of_the_machine(
-    card: Path, run: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_names_no_path_of_the_machine(card, run, recording, tmp_path, monkeypatch):
     monkeypatch.chdir(run.parent)
     relative, _ = write_card(Path(run.name), LICENCE | STATED | {"output": str(tmp_path / "card")})
     assert (relative / PAGE).read_text() == (card / PAGE).read_text()
@@ -173,9 +171,7 @@ def test_it_moves_as_the_run_did_wherever_it_lies(finished_run: Callable, tmp_pa
         np.testing.assert_array_equal(moved.parameters[full].value, parameter.value)
 
 
-def test_the_page_s_code_does_what_it_says(
-    run: Path, card: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_the_page_s_code_does_what_it_says(run, card, tmp_path, monkeypatch, capsys):
     (tmp_path / "RUN").symlink_to(run)
     (tmp_path / "CARD").symlink_to(card)
     monkeypatch.chdir(tmp_path)
@@ -303,9 +299,7 @@ class Executed:
         (put("model", {"_target_": "frictionzoo.models.Lugre", "params": 3}), "Lugre"),
     ],
 )
-def test_a_damaged_or_foreign_card_is_one_line_and_nothing_of_it_runs(
-    own: Path, change: Callable, expected: str
-) -> None:
+def test_a_damaged_or_foreign_card_is_one_line_and_nothing_of_it_runs(own, change, expected):
     (own.parent / "x").write_text("mine")
     change(own)
     with pytest.raises(FrictionzooError, match=expected) as told:
@@ -343,9 +337,7 @@ def test_nothing_but_laws_is_built(own: Path, target: str, place: str) -> None:
         (LICENCE | {"output": "run"}, OutputError, r"^run/result\.json: written by another command"),
     ],
 )
-def test_what_cannot_be_written_leaves_nothing(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict, error: type, expected: str
-) -> None:
+def test_what_cannot_be_written_leaves_nothing(run, tmp_path, monkeypatch, options, error, expected):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "README.md").write_text("mine")

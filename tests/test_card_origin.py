@@ -73,9 +73,7 @@ def test_its_values_are_labelled_as_theirs(run: Path, file: Path, tmp_path: Path
 
 @pytest.mark.slow
 @needs_data
-def test_published_values_are_judged_on_recordings_of_their_servo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_published_values_are_judged_on_recordings_of_their_servo(tmp_path, monkeypatch, capsys):
     """The values are those of BAM's m1.json for the XL330, of 2026."""
     file, others = tmp_path / "m1.json", tmp_path / "other.json"
     published = {"kt": 0.37005, "R": 3.49835, "armature": 0.00198982, "q_offset": -0.00176724}

@@ -43,7 +43,7 @@ from frictionzoo.simulation.context import computing
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "
 SMALL = {  # options that make a job quick, where it has them and the page does not set them
-    **{"data.samples": "15000", "data.split.gap": "0.05", "segments.count": "20", "fit.iterations": "20"},
+    **{"data.samples": "15000", "data.split.gap": "0.05", "segments.count": "20", "fit.iterations": "3"},
     **{"loop.progress": "false", "recipe": "given"},
     **BRIEF,
 }
@@ -82,7 +82,6 @@ How = Callable[[str, Place], object]  # what it returns must not be false
 
 
 def arguments_of(command: str) -> list[str]:
-    """What follows the program."""
     return shlex.split(re.sub(rf"^(?:{JOB}|python -m \S+ )", "", command))
 
 
@@ -141,20 +140,12 @@ def is_run_by_ci(command: str, _: Place) -> bool:
 
 
 def install_for_development(command: str, place: Place) -> None:
-    """In a copy of the project whose new environment sees the packages of this one, so that few are installed."""
-    for path in place.folder.iterdir():
-        path.unlink()
-    ignored = (".git", ".venv", "site", "outputs", "multirun", "results", "__pycache__", "*.egg-info", ".*_cache")
-    shutil.copytree(ROOT, place.folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(*ignored))
-    # Made before it sees other packages: with a pip among these it would get none, and theirs would install into them.
-    place.run("python3.11 -m venv .venv")
-    (packages,) = place.folder.glob(".venv/lib/python*/site-packages")
-    (packages / "borrowed.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
-    place.run("git init --quiet")
-    place.run(command)
-    assert list(packages.glob("frictionzoo-*.dist-info"))
+    """CI installs the same into an environment of its own, and runs its tools; the hooks are installed here."""
+    create, activate, make, hooks = command.split(" && ")
+    assert f"{create} && {activate}" in blocks_of(ROOT / "README.md")[0]
+    assert place.run(f"{make} --dry-run").strip() in CI.replace(" --quiet", "")
+    place.run(f"git init --quiet && {hooks}")
     assert (place.folder / ".git" / "hooks" / "pre-commit").exists()
-    place.run(". .venv/bin/activate && frictionzoo --cfg job && ruff --version")
 
 
 def extras_exist(command: str, _: Place) -> bool:
@@ -204,7 +195,6 @@ def list_reproduced() -> set[str]:
 
 
 def loads(command: str, _: Place) -> object:
-    """The data set that it names."""
     arguments = _name_files(arguments_of(command))
     settings = OmegaConf.to_container(compose_config(*arguments, "data.split.gap=0.05"), resolve=True)
     return build(settings["data"]).load().test
@@ -261,7 +251,7 @@ LEFT = {
 }
 RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"python3\.11 -m venv .* pip install -c constraints\.txt -e .*|pytest -n 2", is_run_by_ci),
-    (r"python3\.11 -m venv .* make install .*", install_for_development, SLOW),
+    (r"python3\.11 -m venv .* make install .*", install_for_development),
     (r"pip install (-c constraints\.txt )?-e \"\.\[[\w,]+\]\"", extras_exist),
     (r"export FRICTIONZOO_DATA=\S+", lambda *_: "oc.env:FRICTIONZOO_DATA" in (CONF_DIR / "data/emps.yaml").read_text()),
     (r"pip install \./experiments/\w+|python -m pytest experiments/\w+", lambda command, _: command in WITH_PACKAGE),
@@ -283,7 +273,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}-m experiment=\w+ \"bench\..*", pose_jobs, SLOW, needs_data),
     (rf"{JOB}(-m )?experiment=.*", is_reproduced),
     (rf"{JOB}-m data=xl330 .*", pose_jobs, SLOW, needs_data),
-    (rf"{JOB}-m .*", do_jobs, SLOW),
+    (rf"{JOB}-m .*", pose_jobs, SLOW),  # `finished_run` and the experiments do such sweeps
     # One job of each kind of drive, and those like it, which differ in what they read
     (rf"{JOB}model=coulomb_stribeck", do_jobs),
     (rf"{JOB}.* recipe=auto.*", do_jobs, SLOW),
@@ -291,7 +281,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}.*bench\.payload=arm .*", do_jobs),
     (rf"{JOB}.*'bench\.joint=\[.*", pose_jobs, SLOW),
     (rf"{JOB}.*data=files .*", pose_jobs),
-    (rf"{JOB}data=(sts3215|xl330) .*", pose_jobs, SLOW, needs_data),  # the experiments fit such laws to them
+    (rf"{JOB}data=(sts3215|xl330) .*", loads, SLOW, needs_data),  # the experiments fit such laws to them
     (rf"{JOB}model=(mujoco_default|coulomb_smooth) .*", pose_jobs, SLOW),  # the laws of `finished_run`
     (rf"{JOB}.*", do_jobs, SLOW),
 ]

@@ -144,11 +144,7 @@ def test_a_run_that_diverged_comes_last_and_is_not_recommended(zoo, save):
     save("3_wild", "wild", np.where(np.arange(ROLLOUTS) == 3, np.nan, HARD / 10))
     comparison = compare(zoo)
     assert comparison["runs"][-1]["label"] == "wild" and comparison["recommendation"]["run"] == "simple"
-
-
-def test_nothing_is_recommended_where_all_diverged(save):
-    folder = save("0_wild", "wild", np.full(ROLLOUTS, np.nan)).parent
-    comparison = compare(folder)
+    comparison = compare(save("4_lost", "lost", np.full(ROLLOUTS, np.nan)))
     assert comparison["recommendation"] is None and comparison["runs"][0]["change"]["test"] is None
     jsonschema.Draft202012Validator(read_schema()).validate(to_json(comparison))
 
@@ -256,10 +252,13 @@ def test_a_damaged_file_is_one_clear_line(zoo, name, content, text):
     assert "\n" not in str(caught.value) and str(zoo / "1_simple" / name) in str(caught.value)
 
 
-def test_curves_of_another_shape_are_refused(zoo):
+def test_curves_of_another_shape_and_missing_ones_are_refused(zoo):
     curves = read_curves(zoo / "1_simple")
     write_curves(zoo / "1_simple", replace(curves, test_mae=curves.test_mae[:3]))
     with pytest.raises(RunError, match=r"1_simple: test_mae of shape \(3,\), expected \(10,\)"):
+        read_runs([zoo])
+    (zoo / "1_simple" / "curves.safetensors").unlink()
+    with pytest.raises(RunError, match="No such file"):
         read_runs([zoo])
 
 
@@ -270,12 +269,6 @@ def test_runs_may_differ_in_what_is_their_own(zoo):
     own |= {"portraits": portraits, "train_errors": np.ones((4, 5, 1))}
     write_curves(zoo / "1_simple", replace(curves, **own))
     assert compare(zoo) and len(read_runs([zoo])[0]) == 4
-
-
-def test_a_missing_file_is_said(zoo):
-    (zoo / "1_simple" / "curves.safetensors").unlink()
-    with pytest.raises(RunError, match="No such file"):
-        read_runs([zoo])
 
 
 def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, monkeypatch):

@@ -29,16 +29,8 @@ AWKWARD = (
     "baseline",
 )
 NAMES = [
-    "autocorrelation",
-    "differences",
-    "error_by_horizon",
-    "error_by_load",
-    "error_by_speed",
-    "figure3_parameters",
-    "figure4_trajectories",
-    "figure5_error",
-    "figure6_mae",
-    "friction",
+    *("autocorrelation", "differences", "error_by_horizon", "error_by_load", "error_by_speed", "figure3_parameters"),
+    *("figure4_trajectories", "figure5_error", "figure6_mae", "friction"),
 ]
 
 

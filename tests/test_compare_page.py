@@ -126,14 +126,15 @@ def test_the_page_opens_with_what_to_take_and_what_to_do(runs, tmp_path, monkeyp
     source, comparison = show(tmp_path / "comparison.html", runs)
     text, chosen = plain(source), comparison["recommendation"]["run"]
     place = next(run.folder.name for run in runs if run.label == chosen)
-    asked = [
-        f"Recommended: {chosen}",
-        "Confidence",
-        "no relevant difference",
-        "How to use",
+    asked = [f"Recommended: {chosen}", "Confidence", "no relevant difference", "How to use"]
+    asked += [
         f"frictionzoo.export {place}",
+        f"fz.load('{place}')",
+        "Next steps",
+        "model=lugre",
+        "frictionzoo.design",
+        "± sigma",
     ]
-    asked += [f"fz.load('{place}')", "Next steps", "model=lugre", "frictionzoo.design", "± sigma"]
     places = [text.find(each) for each in asked]
     assert -1 not in places and places == sorted(places)
     page = Page(source)

@@ -1,6 +1,6 @@
 """Laws whose constraint and damping follow direction, speed or position: by hand, against MuJoCo C, and found again."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -24,13 +24,11 @@ from frictionzoo.simulation.dry_friction import dry_friction
 from frictionzoo.simulation.linear import rows_of
 from frictionzoo.simulation.rollout import make_rollout
 
-pytestmark = pytest.mark.usefixtures("in_haste")
+pytestmark = pytest.mark.usefixtures("in_haste", "x64")
 
 TRUTH = {
     "asymmetric": {
-        "frictionloss_forward": 0.4,
-        "frictionloss_backward": 0.2,
-        "damping_forward": 0.15,
+        **{"frictionloss_forward": 0.4, "frictionloss_backward": 0.2, "damping_forward": 0.15},
         "damping_backward": 0.05,
     },
     "polynomial_viscous": {"frictionloss": 0.2, "damping": 0.1, "quadratic_damping": 0.05, "cubic_damping": 0.02},
@@ -42,17 +40,9 @@ TRUTH = {
 ARMATURE = 0.03
 
 
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
-
-
 def test_asymmetric_known_values(make: Callable[..., Any]) -> None:
     values = {
-        "frictionloss_forward": 0.5,
-        "frictionloss_backward": 0.2,
-        "damping_forward": 0.3,
+        **{"frictionloss_forward": 0.5, "frictionloss_backward": 0.2, "damping_forward": 0.3},
         "damping_backward": 0.1,
     }
     terms = friction(make("model", "model=asymmetric", nv=1), [2.0, -2.0], **values)

@@ -36,7 +36,6 @@ EXAMPLES = settings(
 
 
 def parts(path: Path) -> list[Path]:
-    """The files of a recording."""
     return [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
 
 

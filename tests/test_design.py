@@ -1,16 +1,15 @@
 """The command to record next: within limits, soft, and what it says of the parameters beside what a fit then finds."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
 import yaml
-from conftest import Finished, finish, job_settings
+from conftest import Finished, finish
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench, Force
@@ -23,23 +22,13 @@ from frictionzoo.design.information import SensorNoise, inform
 from frictionzoo.design.plan import Plan, Request
 from frictionzoo.simulation.context import computing
 
+pytestmark = pytest.mark.usefixtures("settings_kept")
+
 BOUNDS = {"position": "[-0.8,1.2]", "velocity": "4", "torque": "3"}
 SHORT = {
-    "seconds": "1.5",
-    "ramp": "0.2",
-    "starts": "2",
-    "iterations": "8",
-    "bandwidth": "4",
-    "segments.length": "100",
+    **{"seconds": "1.5", "ramp": "0.2", "starts": "2", "iterations": "8", "bandwidth": "4", "segments.length": "100"},
     "velocity_noise": "0.005",
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def settings_as_they_were(compilation_cache: Path) -> Iterator[None]:
-    """The command sets JAX's caches, for its whole process."""
-    with job_settings(compilation_cache):
-        yield
 
 
 @pytest.fixture
@@ -192,9 +181,7 @@ def test_a_command_beyond_a_limit_in_mujoco_c_is_refused(knee: Bench) -> None:
             _refuse_beyond(np.array([[0.9], [0.9], [0.9], [0.9], [share]]), knee)
 
 
-def test_a_runs_drive_gets_its_next_command(
-    finished_run: Callable[[str], tuple[Path, Finished]], command: Callable[..., Finished], tmp_path: Path
-) -> None:
+def test_a_runs_drive_gets_its_next_command(finished_run, command, tmp_path):
     """Within limits along its motion in MuJoCo C; its files say the same; a second one does not replace it."""
     run, folder = finished_run("mujoco_default")[0], tmp_path / "next"
     finished = command(str(run), **BOUNDS, **SHORT, output=str(folder))

@@ -50,9 +50,7 @@ def test_what_is_neither_true_nor_false_is_refused(asked: Any) -> None:
     ("softness", "stated", "expected"),
     [([0.004, 1.0], None, [0.002, 1.0]), ([0.02, 1.0], None, [0.02, 1.0]), ([0.004, 1.0], [0.004, 1.0], [0.004, 1.0])],
 )
-def test_friction_as_stiff_as_a_step_allows_is_stiffer_in_half_of_it(
-    softness: list[float], stated: list[float] | None, expected: list[float]
-) -> None:
+def test_friction_as_stiff_as_a_step_allows_is_stiffer_in_half_of_it(softness, stated, expected):
     bench = remake(pose("mujoco_default").objective.space.bench, timestep=0.002, solreffriction=softness)
     halved = halve_step(bench, stated)
     assert (halved.timestep, halved.solreffriction) == (0.001, expected)
@@ -80,11 +78,7 @@ def test_a_drive_that_was_recorded_in_short_steps_is_within() -> None:
     """The twin moves in steps of 0.25 ms and is fitted in steps of 1 ms."""
     options = ("data=twin_clean", "data.samples=8000", "model=coulomb_stribeck", "fit=lm", "dtype=float64")
     options += (
-        "loss.refine=true",
-        "loss.velocity=1e-5",
-        "segments.length=20",
-        "device=cpu",
-        "evaluation.trajectory=1.0",
+        *("loss.refine=true", "loss.velocity=1e-5", "segments.length=20", "device=cpu", "evaluation.trajectory=1.0"),
     )
     settings: Any = OmegaConf.to_container(compose_config(*options, "data.cache_dir=null"), resolve=True)
     parts = Parts.from_settings(settings)

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
-from conftest import Finished, finish, job_settings
+from conftest import Finished, finish
 
 from frictionzoo.cli.finished import distill as main
 from frictionzoo.cli.finished import export
@@ -23,12 +23,7 @@ from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import read_runs
 
-
-@pytest.fixture(scope="module", autouse=True)
-def settings_as_they_were(compilation_cache: Path) -> Iterator[None]:
-    """Jobs set JAX's precision and caches, for their whole process."""
-    with job_settings(compilation_cache):
-        yield
+pytestmark = pytest.mark.usefixtures("settings_kept")
 
 
 @pytest.fixture
@@ -79,9 +74,7 @@ KNOWN = ("fit=known", f"bench.params.armature.init={ARMATURE}", "bench.params.ar
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-def test_mujocos_friction_is_near_what_slides(
-    call: Callable[..., Finished], tiny: tuple[str, ...], distill: Callable, tmp_path: Path
-) -> None:
+def test_mujocos_friction_is_near_what_slides(call, tiny, distill, tmp_path):
     friction = [f"model.params.{name}.{to}" for name, x in FRICTION.items() for to in (f"init={x}", "identify=false")]
     teacher = tmp_path / "teacher"
     judged = call(*tiny, "segments.count=200", "model=coulomb_stribeck", *KNOWN, *friction, f"hydra.run.dir={teacher}")
@@ -179,9 +172,7 @@ def copy_teacher(teacher: Path, place: Path, recording: Path) -> Path:
     return place
 
 
-def test_recordings_that_are_gone_or_changed_are_one_line(
-    teacher: Path, recording: Path, distill: Callable, tmp_path: Path
-) -> None:
+def test_recordings_that_are_gone_or_changed_are_one_line(teacher, recording, distill, tmp_path):
     other = tmp_path / "other.csv"
     copy = copy_teacher(teacher, tmp_path / "copy", other)
     options = ("model=mujoco_default", f"output={tmp_path / 'student'}")
@@ -192,9 +183,7 @@ def test_recordings_that_are_gone_or_changed_are_one_line(
     check_refused(distill(copy, *options), "data with SHA-256 .*, expected .* as in that run", tmp_path / "student")
 
 
-def test_a_teacher_that_diverges_is_one_line(
-    finished_run: Callable, recording: Path, distill: Callable, tmp_path: Path
-) -> None:
+def test_a_teacher_that_diverges_is_one_line(finished_run, recording, distill, tmp_path):
     copy = copy_teacher(finished_run("coulomb_stribeck")[0], tmp_path / "copy", recording)
     law = safetensors.torch.load_file(copy / "friction.safetensors")
     law["viscous_coefficient"] = torch.full_like(law["viscous_coefficient"], -1e4)  # drives the joint

@@ -120,9 +120,7 @@ def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
         (lambda log: {"ctrl": put(log.ctrl, 1e300)}, r"ctrl is 1e\+300 at sample 1000, expected at most 1e\+09"),
     ],
 )
-def test_what_is_certain_is_refused_with_what_mends_it(
-    recorded: tuple[Log, Bench], spoil: Callable[[Log], dict], line: str
-) -> None:
+def test_what_is_certain_is_refused_with_what_mends_it(recorded, spoil, line):
     log, bench = recorded
     with pytest.raises(LogError, match=line):
         doubts(replace(log, **spoil(log)), bench)
@@ -150,17 +148,13 @@ def test_what_is_certain_is_refused_with_what_mends_it(
         (lambda log: {"qpos": log.qpos + 5}, "both have the same zero"),
     ],
 )
-def test_what_is_likely_is_told_with_what_mends_it(
-    recorded: tuple[Log, Bench], spoil: Callable[[Log], dict], text: str
-) -> None:
+def test_what_is_likely_is_told_with_what_mends_it(recorded, spoil, text):
     log, bench = recorded
     assert text in doubts(replace(log, **spoil(log)), bench)
 
 
 @pytest.mark.parametrize(("unit", "size"), [("rev", 1 / (2 * np.pi)), ("deg", 180 / np.pi), (None, 1.0)])
-def test_a_recorded_torque_shows_the_unit_of_the_position(
-    recorded: tuple[Log, Bench], unit: str | None, size: float
-) -> None:
+def test_a_recorded_torque_shows_the_unit_of_the_position(recorded, unit, size):
     log, bench = recorded
     model, qacc = bench.compile(constraint=False), np.gradient(log.qvel, log.timestep, axis=0)
     torque = inverse_torque(model, log.qpos, log.qvel, qacc) + 0.02 * qacc + 0.1 * np.sign(log.qvel)

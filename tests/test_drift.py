@@ -2,14 +2,14 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
-from conftest import Finished, changed, finish, job_settings, write_recording
+from conftest import Finished, changed, finish, write_recording
 
 import frictionzoo as fz
 from frictionzoo.api import drift as api
@@ -20,15 +20,10 @@ from frictionzoo.core.errors import ConfigError, FaultError, RunError
 from frictionzoo.core.output import to_json
 from frictionzoo.result.comparison.drift import Estimates, find_differences, judge_drift, read_schema
 
+pytestmark = pytest.mark.usefixtures("settings_kept")
+
 ALARM, FREEDOM = 0.05, 30
 NAMES = ("bench.armature", "friction.frictionloss", "friction.damping")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def settings_as_they_were(compilation_cache: Path) -> Iterator[None]:
-    """Jobs set JAX's precision and caches, for their whole process."""
-    with job_settings(compilation_cache):
-        yield
 
 
 @pytest.fixture
@@ -129,9 +124,7 @@ def test_what_is_not_determined_is_not_told(drive: fz.Identified) -> None:
     jsonschema.Draft202012Validator(read_schema()).validate(to_json(refused))
 
 
-def test_runs_that_do_not_fit_are_refused(
-    drive: fz.Identified, leg: Callable, tmp_path: Path, monkeypatch: Any
-) -> None:
+def test_runs_that_do_not_fit_are_refused(drive, leg, tmp_path, monkeypatch):
     logs: list[fz.Log] = []  # refused before they are read
     nothing = dataclasses.replace(drive, result=changed(drive.result, covariance=None, no_intervals="of a network"))
     with pytest.raises(RunError, match="of a network, expected intervals"):

@@ -330,20 +330,15 @@ def test_recorded_names_of_isaac_lab_are_those_of_the_package() -> None:
 
 READERS = {"mjlab": Mjlab().read, "isaaclab": IsaacLab().read}
 CONFIGURED = [
-    ("mjlab", "BuiltinPositionActuatorCfg", (LATE,)),
-    ("isaaclab", "DelayedPDActuatorCfg", (LATE,)),
-    ("isaaclab", "IdealPDActuatorCfg", ()),
-    ("isaaclab", "DCMotorCfg", DC_MOTOR),
-    ("mjlab", "DcMotorActuatorCfg", STS3215),
-    ("isaaclab", "IdealPDActuatorCfg", ROBOT),
+    *(("mjlab", "BuiltinPositionActuatorCfg", (LATE,)), ("isaaclab", "DelayedPDActuatorCfg", (LATE,))),
+    *(("isaaclab", "IdealPDActuatorCfg", ()), ("isaaclab", "DCMotorCfg", DC_MOTOR)),
+    *(("mjlab", "DcMotorActuatorCfg", STS3215), ("isaaclab", "IdealPDActuatorCfg", ROBOT)),
     ("mjlab", "BuiltinPositionActuatorCfg", RECORDED),
 ]
 
 
 @pytest.mark.parametrize(("target", "cls", "drive"), CONFIGURED, ids=[f"{case[0]}-{case[1]}" for case in CONFIGURED])
-def test_a_configuration_moves_as_the_drive(
-    damped: tuple[str, ...], tmp_path: Path, target: str, cls: str, drive: tuple[str, ...]
-) -> None:
+def test_a_configuration_moves_as_the_drive(damped, tmp_path, target, cls, drive):
     """Some move; of the others the file is read."""
     moves = drive in ((LATE,), STS3215, ROBOT)
     fitted = (fit if moves else draw)("mujoco_default", *(damped if drive == STS3215 else drive))
@@ -361,9 +356,7 @@ def test_a_configuration_moves_as_the_drive(
     assert "not run" in " ".join(export.limits)
 
 
-def test_a_configuration_holds_the_nearest_friction_of_another_law(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_configuration_holds_the_nearest_friction_of_another_law(tmp_path, monkeypatch):
     fitted = draw("coulomb_stribeck", *STS3215)
     armature, loss, damping = (np.array([value]) for value in (0.04, 0.02, 0.03))
     nearest = Nearest(fitted.values["bench"] | {"armature": armature}, loss, damping, "so far off")

@@ -70,13 +70,11 @@ class Rubbing(FrictionModel):
     memory = 1
 
     def terms(self, xp, values, state):
-        """Every term."""
         pressed = 0.1 + 0.05 * xp.abs(state.external_torque) + 0.05 * xp.tanh(state.qpos) ** 2
         turning = 0.02 + 0.01 * xp.tanh(state.motor_torque) ** 2
         return FrictionTerms(torque=0.03 * xp.tanh(state.qvel), frictionloss=pressed, damping=turning)
 
     def advance(self, xp, values, state, memory, timestep):
-        """Every term, and the spring."""
         torque, frictionloss, damping = self.terms(xp, values, state)
         bent = xp.clip(memory[..., 0] + timestep * state.qvel, -0.02, 0.02)
         return FrictionTerms(torque + 2 * memory[..., 0], frictionloss, damping), bent[..., None]
@@ -112,12 +110,8 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     time = interval * np.arange(-history, steps)[:, None]
     swings = np.stack([0.5 * np.sin(30 * time + phase + np.arange(bench.nv)) for phase in (0.3, 2.0)])
     inputs = {"gain": 20.0, "supply": 48.0, "enable": 1.0, "temperature": 40 + 10 * np.sin(20 * time)}
-    inputs |= {
-        "kp": 20 + np.cos(9 * time),
-        "kd": 1.0,
-        "ctrl_velocity": np.cos(30 * time),
-        "ctrl_torque": np.sin(9 * time),
-    }
+    inputs |= {"kp": 20 + np.cos(9 * time), "kd": 1.0}
+    inputs |= {"ctrl_velocity": np.cos(30 * time), "ctrl_torque": np.sin(9 * time)}
     recorded = {name: np.full_like(swings, inputs[name]) for name in bench.inputs}
     states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, steps + 1, bench.nv))
     load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
@@ -167,7 +161,6 @@ LEANING = """<mujoco><compiler angle="radian"/><option timestep="0.001" gravity=
 
 @pytest.fixture(scope="module")
 def benches(tmp_path_factory):
-    """Folder of the benches `arm` and `leaning`."""
     folder = tmp_path_factory.mktemp("benches")
     for name, text in {"arm": ARM, "leaning": LEANING}.items():
         (folder / f"{name}.xml").write_text(text)
@@ -422,7 +415,6 @@ class Hidden(FrictionModel):
     name, table = "hidden", np.ones(1)
 
     def terms(self, xp, values, state):
-        """Asks an object."""
         return FrictionTerms(torque=self.table * state.qvel)
 
 

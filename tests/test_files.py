@@ -257,9 +257,7 @@ def test_what_cleaning_changed_is_said_once(files: Make, tmp_path: Path, caplog:
 
 
 @pytest.mark.parametrize("name", ["sts3215", "xl330"])
-def test_recordings_that_are_not_there_get_a_line_on_where_to_obtain_them(
-    make: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
+def test_recordings_that_are_not_there_get_a_line_on_where_to_obtain_them(make, monkeypatch, tmp_path, name):
     monkeypatch.delenv("FRICTIONZOO_DATA", raising=False)
     with pytest.raises(LogError, match=rf"data\.folder=null: .*FRICTIONZOO_DATA.* holds {name}.*https://github\.com"):
         make("data", f"data={name}").load()
@@ -289,14 +287,9 @@ def few_servos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # Inertia about the axis [kg m^2] and torque of gravity [N m] by mass [kg] and arm [m], from the CAD of the bench.
 PENDULUMS = {
-    (0.535, 0.1): (0.006745, 0.5422),
-    (0.535, 0.15): (0.013688, 0.8236),
-    (0.74117693, 0.1): (0.009273, 0.7444),
-    (0.74117693, 0.15): (0.018793, 1.1269),
-    (0.969, 0.1): (0.012182, 0.9677),
-    (0.969, 0.15): (0.024550, 1.4619),
-    (1.1682, 0.1): (0.014615, 1.1630),
-    (1.1682, 0.15): (0.029472, 1.7549),
+    **{(0.535, 0.1): (0.006745, 0.5422), (0.535, 0.15): (0.013688, 0.8236), (0.74117693, 0.1): (0.009273, 0.7444)},
+    **{(0.74117693, 0.15): (0.018793, 1.1269), (0.969, 0.1): (0.012182, 0.9677), (0.969, 0.15): (0.024550, 1.4619)},
+    **{(1.1682, 0.1): (0.014615, 1.1630), (1.1682, 0.15): (0.029472, 1.7549)},
 }
 
 

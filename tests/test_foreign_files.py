@@ -185,9 +185,7 @@ def hold(tmp_path: Path, names: list[str], write: Callable[[Path], Any], example
 
 @pytest.mark.parametrize("examples", [12, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("command", WRITERS)
-def test_foreign_files_stay_or_the_command_refuses(
-    outputs: dict[str, Path], tmp_path: Path, command: str, examples: int
-) -> None:
+def test_foreign_files_stay_or_the_command_refuses(outputs, tmp_path, command, examples):
     files = contents(outputs[command])
     files.pop("figures/differences.png", None)  # as of a comparison in which there is none to show
 
@@ -329,9 +327,7 @@ def test_files_are_written_and_removed_in_one_place() -> None:
     [("csv", "csv/a.csv"), ("csv", "csv/metrics.csv"), ("tensorboard", "report.html"), ("tensorboard", ".running")]
     + [pytest.param(*each, marks=pytest.mark.slow) for each in MORE],
 )
-def test_a_run_refuses_a_folder_with_such_a_file_before_it_begins(
-    call: Callable, recording: Path, tmp_path: Path, logger: str, name: str
-) -> None:
+def test_a_run_refuses_a_folder_with_such_a_file_before_it_begins(call, recording, tmp_path, logger, name):
     put(tmp_path, tmp_path, [Foreign(name, "file")])
     shutil.copy(recording, tmp_path / "csv" / "a.csv" if name.startswith("csv/") else tmp_path / "a.csv")
     before = see(tmp_path)
@@ -346,9 +342,7 @@ def test_a_run_refuses_a_folder_with_such_a_file_before_it_begins(
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize("logger", ["csv", "tensorboard"])
-def test_a_run_beside_other_files_leaves_them_and_goes_on(
-    call: Callable, tiny: tuple[str, ...], tmp_path: Path, logger: str
-) -> None:
+def test_a_run_beside_other_files_leaves_them_and_goes_on(call, tiny, tmp_path, logger):
     other = "csv" if logger == "tensorboard" else "tensorboard"
     names = (f"{other}/a.csv", "figures/mine.png", "checkpoints/best.ckpt", ".a.csv.1.part", ".git/HEAD", "notes.md")
     mine = [Foreign(name, "file") for name in names]
@@ -378,9 +372,7 @@ def test_a_sweep_refuses_foreign_files(call: Callable, tmp_path: Path, name: str
 @pytest.mark.slow
 @pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("command", ["save", "card", "export", "compare", "inspect", "design", "distill"])
-def test_foreign_files_stay_whatever_a_command_does(
-    finished_run: Callable, outputs: dict[str, Path], recording: Path, tmp_path: Path, command: str
-) -> None:
+def test_foreign_files_stay_whatever_a_command_does(finished_run, outputs, recording, tmp_path, command):
     run, names = outputs["run"], [*names_of(outputs), "inspect.html", "inspect.json", "excitation.json", "command.csv"]
     drive, limits = fz.load(run), ("position=1.5", "velocity=4", "torque=2")
     inspected = compose_config("data=files", f"data.train=[{recording}]")

@@ -331,12 +331,7 @@ BAD_OPTIONS = {
     "two-times": ({**NAMED, "time": ["t", "q"]}, {}, ConfigError, r"data\.columns\.time"),
     "number": ({**NAMED, "qpos": 3.5}, {}, ConfigError, r"data\.columns\.qpos=3\.5"),
     "missing": ({**NAMED, "qpos": ["qq"]}, {}, LogError, r"a\.csv: no column qq; did you mean q\?"),
-    "unnamed": (
-        {"time": "t"},
-        {},
-        LogError,
-        r"columns\.qpos .*perhaps data\.columns\.time=t .*t, q, v, u, short",
-    ),
+    "unnamed": ({"time": "t"}, {}, LogError, r"columns\.qpos .*perhaps data\.columns\.time=t .*t, q, v, u, short"),
     "length": ({**NAMED, "ctrl": "short"}, {}, LogError, r"a\.csv: short has 1 samples and t 2"),
 }
 
@@ -437,12 +432,8 @@ class Touch:
 
 def test_pytorch_files_of_tensors_and_of_anything_else(tmp_path):
     path, time = tmp_path / "a.pt", torch.arange(4, dtype=torch.float64) / 100
-    columns = {
-        "time": time,
-        "qpos": torch.ones(4, 1, requires_grad=True),
-        "half": time.bfloat16(),
-        "q": torch.ones(4, 2),
-    }
+    columns = {"time": time, "qpos": torch.ones(4, 1, requires_grad=True), "half": time.bfloat16()}
+    columns["q"] = torch.ones(4, 2)
     torch.save({**columns, "gain": 4.0, "name": "leg", "inner": {"x": time}, "on": time > 0}, path)
     (came,) = read_tables(str(path), "auto")
     assert set(came.columns) == {"time", "qpos", "half", "q[0]", "q[1]", "on"} and "inner" in came.refused

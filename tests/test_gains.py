@@ -51,9 +51,7 @@ def find(dataset: Dataset) -> dict[str, Any]:
     st.sampled_from(["columns", "torque"]),
     st.integers(0, 1000),
 )
-def test_gains_are_those_of_the_recordings(
-    joints: int, kp: float, share: float, late: int, source: str, seed: int
-) -> None:
+def test_gains_are_those_of_the_recordings(joints, kp, share, late, source, seed):
     ctrl, qpos, qvel = move(joints, seed)
     kps, kds = kp * (1 + np.arange(joints)), share * kp * (1 + np.arange(joints))
     if source == "columns":
@@ -111,9 +109,7 @@ def test_a_log_without_gains_is_refused_before_the_work(call: Callable[..., Fini
     assert "loading torch" not in finished.err and not [*Path().rglob("result.json")]
 
 
-def test_a_recorded_torque_stands_for_the_gains(
-    recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_recorded_torque_stands_for_the_gains(recording, tmp_path, caplog):
     columns = np.loadtxt(recording, delimiter=",", skiprows=1)
     torque = 20 * (columns[:, 3] - columns[:, 1]) - columns[:, 2]
     header = "time,qpos,qvel,ctrl,torque"

@@ -87,9 +87,7 @@ def read_terminal(terminal: int, end: int) -> str:
 
 
 @pytest.mark.parametrize("arguments", [["--cfg", "job"], ["list"], ["--help"]], ids=" ".join)
-def test_a_reader_that_goes_away_ends_a_command_in_silence(
-    capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, arguments: list[str]
-) -> None:
+def test_a_reader_that_goes_away_ends_a_command_in_silence(capfd, monkeypatch, arguments):
     reading, writing = os.pipe()
     os.close(reading)
     monkeypatch.setattr(sys, "argv", ["frictionzoo", *arguments])
@@ -138,9 +136,7 @@ def test_an_example_is_true_and_there_is_one_of_each_command() -> None:
         ([], "run", []),
     ],
 )
-def test_a_command_gets_its_arguments(
-    monkeypatch: pytest.MonkeyPatch, arguments: list[str], name: str, rest: list[str]
-) -> None:
+def test_a_command_gets_its_arguments(monkeypatch, arguments, name, rest):
     given: list[Any] = []
     function = f"{name}.main" if name in _MODULES else f"finished.{name}"
     monkeypatch.setattr(f"frictionzoo.cli.{function}", given.extend)
@@ -185,9 +181,7 @@ def test_files_to_inspect_are_named_as_they_are() -> None:
         assert _name_files(none) == none
 
 
-def test_a_command_leaves_the_process_as_it_was(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_command_leaves_the_process_as_it_was(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["program", "of its own"])
     before = dict(os.environ), signal.getsignal(signal.SIGINT), sys.unraisablehook

@@ -311,30 +311,10 @@ def test_no_doubts_about_a_good_run(record):
         ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "did not converge"),
         ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
         ({"fit.stopped": "finished", "fit.method": "known"}, "Fit", "note", "Nothing was identified"),
-        (
-            {"fit.moving": ["bench.armature"]},
-            "Fit",
-            "caution",
-            "Still moving at the end of the fit: bench.armature; raise",
-        ),
-        (
-            {"reference.0.at_bound": True},
-            "Reference",
-            "caution",
-            "The drive without friction ended with bench.armature",
-        ),
-        (
-            {"not_identified": ["why", "this"]},
-            "Not identified",
-            "bad",
-            "drive was not identified: why; likely reasons: this.",
-        ),
-        (
-            {"parameters.0.at_bound": True},
-            "Bounds",
-            "caution",
-            "bench.armature ended at a bound of [0.001, 1] kg m^2; widen",
-        ),
+        ({"fit.moving": ["bench.armature"]}, "Fit", "caution", "Still moving at the end of the fit: bench.armature;"),
+        ({"reference.0.at_bound": True}, "Reference", "caution", "drive without friction ended with bench.armature"),
+        ({"not_identified": ["why", "this"]}, "Not identified", "bad", "not identified: why; likely reasons: this."),
+        ({"parameters.0.at_bound": True}, "Bounds", "caution", "armature ended at a bound of [0.001, 1] kg m^2; widen"),
         (
             {
                 **{"no_intervals": None, "parameters.0.identifiable": False},
@@ -344,12 +324,7 @@ def test_no_doubts_about_a_good_run(record):
             "caution",
             "Not identifiable from these data: bench.armature; do",
         ),
-        (
-            {"indistinct": [["a.b", "c.d"]], "no_intervals": None},
-            "Identifiability",
-            "caution",
-            "distinguish a.b and c.d;",
-        ),
+        ({"indistinct": [["a.b", "c.d"]], "no_intervals": None}, "Identifiability", "caution", "a.b and c.d;"),
         ({"metrics.train.position_mae": 1e-3}, "Training and test error", "caution", "overfitted"),
         ({"metrics.train.position_mae": None}, "Training and test error", "caution", "cannot be compared"),
         ({"metrics.baseline.position_mae": 1e-3}, "Improvement", "bad", "no better than"),

@@ -137,9 +137,7 @@ def names_in(folder: Path) -> set[str]:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:jupyter_core")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.usefixtures("in_haste")
-def test_the_block_runs_in_a_notebook(
-    stand: Path, tmp_path: Path, compilation_cache: Path, finished_run: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_block_runs_in_a_notebook(stand, tmp_path, compilation_cache, finished_run, monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(compilation_cache))
     shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in cells()])
@@ -181,9 +179,7 @@ def knee() -> fz.Bench:
 
 
 @pytest.mark.parametrize("name", ["coulomb_stribeck", "neural_friction"])
-def test_it_finds_what_the_command_line_finds(
-    recording: Path, tmp_path: Path, finished_run: Callable, name: str
-) -> None:
+def test_it_finds_what_the_command_line_finds(recording, tmp_path, finished_run, name):
     network = name == "neural_friction"
     law = fz.law(name, hidden=[4, 4]) if network else name
     more = {"method": Adam(iterations=3), "segments": {"count": 20, "length": 3}} if network else {"method": "lm"}
@@ -362,9 +358,7 @@ def without_cache() -> Any:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste", "without_cache")
-def test_settings_of_jax_stay_and_what_was_before_does_not_matter(
-    recording: Path, tmp_path: Path, start: Callable
-) -> None:
+def test_settings_of_jax_stay_and_what_was_before_does_not_matter(recording, tmp_path, start):
     logs, before = fz.read(recording), of_jax()
     options = {**QUICK, "method": "lm", "compilation_cache": str(tmp_path / "cache")}
     double = fz.identify(knee(), "mujoco_default", logs, dtype="float64", **options)

@@ -20,7 +20,6 @@ IMPULSE = {"position": 0.0, "velocity": 1.0, "refine": False, "impulse": True, "
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """The arm."""
     path = tmp_path_factory.mktemp("arm") / "arm.xml"
     path.write_text(ARM)
     return Bench(str(path), ["shoulder", "elbow"], actuator=Force(), params={"armature": {"init": 0.15}})

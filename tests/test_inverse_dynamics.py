@@ -1,11 +1,10 @@
 """Parameters from torque alone: motions whose torque MuJoCo C gives, and the equation that balances it."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -31,15 +30,11 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.registry import get_model
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 FILTERING = Filtering(bandwidth=20.0)
 SECTION = {"init": 0.5, "low": 1e-4, "high": 50.0, "scale": "log", "identify": True}
 SPREAD = np.repeat([0.2, 0.03, 0.3], [1, 3, 6])
-
-
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +45,6 @@ def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def bench_of(path: Path, **params: Any) -> Bench:
-    """The arm, driven by torque."""
     return Bench(str(path), JOINTS, actuator=Force(), params={"armature": SECTION | {"low": 1e-4}} | params)
 
 
@@ -350,9 +344,7 @@ def test_links_and_gravity_that_cannot_be_are_refused(options: dict[str, Any], o
         bench.with_gravity([0, 1])
 
 
-def test_a_job_finds_a_servo_by_its_torque(
-    tiny: tuple[str, ...], compilation_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_finds_a_servo_by_its_torque(tiny, compilation_cache, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with job_settings(compilation_cache):
         done = run_main(*tiny, "model=mujoco_default", "fit=inverse_dynamics", f"hydra.run.dir={tmp_path / 'run'}")

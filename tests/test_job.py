@@ -2,9 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jsonschema
 import mujoco
@@ -22,7 +20,6 @@ from frictionzoo.api.identified import Identified
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.mjcf import write_identified
-from frictionzoo.identification import Problem
 from frictionzoo.identification.solve import judge_baseline
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.result.record import read_schema
@@ -37,9 +34,7 @@ FIGURES = ("figure3_parameters.png", "figure4_trajectory.png", "figure5_error.pn
 
 
 @pytest.mark.parametrize("name", ["mujoco_default", "coulomb_smooth", "neural_friction", "baseline"])
-def test_a_finished_run_is_a_whole_record(
-    finished_run: Callable, make: Callable, tiny: tuple[str, ...], name: str
-) -> None:
+def test_a_finished_run_is_a_whole_record(finished_run, make, tiny, name):
     run, finished = finished_run("sweep" if name == "baseline" else name)
     module = make("model", *RUNS.get(name, ["model=baseline"]), *tiny, nv=1)
     check_record(run / "0_baseline" if name == "baseline" else run, finished, name, module)
@@ -48,9 +43,7 @@ def test_a_finished_run_is_a_whole_record(
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize("name", JOBS)
-def test_a_job_leaves_a_whole_record(
-    call: Callable, make: Callable, tiny: tuple[str, ...], tmp_path: Path, name: str
-) -> None:
+def test_a_job_leaves_a_whole_record(call, make, tiny, tmp_path, name):
     overrides = (*tiny, f"model={name}", *JOBS[name])
     finished = call(*overrides, "hydra.run.dir=run")
     assert finished.status in (0, NOT_IDENTIFIED), finished.err
@@ -87,10 +80,8 @@ def check_result(result: dict, name: str) -> None:
     ends = {"adam": (3, "finished"), "grid": (2**3, "finished"), "lm": (fit["iterations"], "converged")}
     assert (fit["iterations"], fit["stopped"]) == ends[fit["method"]]
     assert 0 <= fit["best_iteration"] < fit["iterations"]
-    assert (
-        sum(result["timing"][part] for part in ("setup", "compile", "fit", "uncertainty", "evaluate"))
-        <= result["timing"]["total"]
-    )
+    parts = (result["timing"][part] for part in ("setup", "compile", "fit", "uncertainty", "evaluate"))
+    assert sum(parts) <= result["timing"]["total"]
 
 
 def check_friction(run: Path, module: FrictionModel, result: dict) -> None:
@@ -138,9 +129,7 @@ def check_scalars(run: Path, result: dict) -> None:
     assert best == pytest.approx(result["fit"]["loss"], rel=1e-6)  # TensorBoard keeps 32 bits
 
 
-def test_a_known_bench_is_judged_as_it_is_without_friction(
-    pose_problem: Callable[[Any], Problem], compose: Callable, tiny: tuple[str, ...]
-) -> None:
+def test_a_known_bench_is_judged_as_it_is_without_friction(pose_problem, compose, tiny):
     config = compose(*tiny, "bench.params.armature.identify=false")
     problem = pose_problem(OmegaConf.to_container(config, resolve=True))
     np.testing.assert_array_equal(problem.samples.qpos, np.concatenate([log.qpos for log in problem.dataset.train]))

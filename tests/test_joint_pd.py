@@ -1,12 +1,11 @@
 """A robot's joints under desired positions, velocities, feed-forward torques and gains, against loops in MuJoCo C."""
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -25,6 +24,8 @@ from frictionzoo.simulation import friction_of, make_engine
 from frictionzoo.simulation.proof import TOLERANCE, Recorded, initial_values, prove
 from frictionzoo.simulation.rollout import make_rollout
 
+pytestmark = pytest.mark.usefixtures("in_haste", "x64")
+
 LEG = """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="{}"><flag contact="disable"/></option>
   <worldbody><body><joint name="hip" axis="0 1 0"/><geom type="capsule" size=".03" fromto="0 0 0 0 0 -.2" mass="1.2"/>
     <body pos="0 0 -.2"><joint name="knee" axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 0 0 -.2"
@@ -37,12 +38,6 @@ LIMIT = 5.0  # N m
 TRUTH = {"armature": (0.012, 0.02), "frictionloss": (0.2, 0.3), "damping": (0.05, 0.1)}
 LATER = {"delay": {"init": 0.004, "low": 0.0, "high": 0.04, "scale": 0.01, "identify": True}}
 SIZES = {"torque_gain": 0.9, "torque_saturation": 8.0, "torque_limit": 5.0}
-
-
-@pytest.fixture(autouse=True)
-def x64(in_haste: None) -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def commands(samples: int, seed: int = 0) -> dict[str, np.ndarray]:

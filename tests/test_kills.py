@@ -11,7 +11,6 @@ import resource
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -107,9 +106,7 @@ def end(process: subprocess.Popen, how: str, stage: Path, delay: float) -> str:
 @pytest.mark.parametrize(
     ("job", "how", "stage", "delay"), draw(int(os.environ.get("FRICTIONZOO_KILLS", len(JOBS)))), ids=str
 )
-def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
-    start: Callable, call: Callable, tiny: tuple, tmp_path: Path, job: str, how: str, stage: str, delay: float
-) -> None:
+def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(start, call, tiny, tmp_path, job, how, stage, delay):
     folder, command, undisturbed = tmp_path / "run", (*JOBS[job], *tiny), tmp_path / "undisturbed"
     undisturbed.mkdir()
     with contextlib.chdir(undisturbed):

@@ -116,15 +116,9 @@ def test_users_texts_are_only_text(make_runs):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("a&b", r"a\&b"),
-        ("50%", r"50\%"),
-        ("$x$", r"\$x\$"),
-        ("{\\x}", r"\{\textbackslash{}x\}"),
-        ("~^", r"\textasciitilde{}\textasciicircum{}"),
-        ("a--b", "a{-}{-}b"),
-        ("two\n\nlines", "two lines"),
-        ("größer", "größer"),
-        ("\x1b[31mred", "{[}31mred"),
+        *(("a&b", r"a\&b"), ("50%", r"50\%"), ("$x$", r"\$x\$"), ("{\\x}", r"\{\textbackslash{}x\}")),
+        *(("~^", r"\textasciitilde{}\textasciicircum{}"), ("a--b", "a{-}{-}b"), ("two\n\nlines", "two lines")),
+        *(("größer", "größer"), ("\x1b[31mred", "{[}31mred")),
     ],
 )
 def test_escape(text, expected):

@@ -1,6 +1,7 @@
 """What `import frictionzoo as fz` offers: laws by name, benches, and rollouts for torch."""
 
 import inspect
+import itertools
 import json
 import re
 import subprocess
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import torch
-from conftest import ROOT
+from conftest import ROOT, check_each
 from helpers.torch_laws import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
@@ -211,23 +212,24 @@ def whole(length: int = 5) -> list[torch.Tensor]:
     return [*torch.tensor([[[1.0], [2.0]], [[0.0], [3.0]]], dtype=torch.float64), commands]
 
 
-@pytest.mark.parametrize("place", range(3))
-@pytest.mark.parametrize("name", TYPES)
-def test_states_and_commands_of_any_type_are_computed_in_the_finest(bench: fz.Bench, place: int, name: str) -> None:
-    law, arrays = fz.law("coulomb_smooth"), [part.float() for part in whole()]
-    arrays[place] = TYPES[name](whole()[place])
-    finest = torch.float64 if str(arrays[place].dtype) in ("float64", ">f8", "torch.float64") else torch.float32
-    with torch.no_grad():
+def test_states_and_commands_of_any_type_are_computed_in_the_finest(bench: fz.Bench) -> None:
+    law = fz.law("coulomb_smooth")
+
+    def check(name: str, place: int) -> None:
+        arrays = [part.float() for part in whole()]
+        arrays[place] = TYPES[name](whole()[place])
+        finest = torch.float64 if str(arrays[place].dtype) in ("float64", ">f8", "torch.float64") else torch.float32
         found, expected = UNCHECKED(bench, law, *arrays), UNCHECKED(bench, law, *(part.to(finest) for part in whole()))
-    for part, other in zip(found, expected, strict=True):
-        assert part.dtype == other.dtype and torch.equal(part, other)
+        for part, other in zip(found, expected, strict=True):
+            assert part.dtype == other.dtype and torch.equal(part, other)
+
+    with torch.no_grad():
+        check_each(check, itertools.product(TYPES, range(3)))
 
 
 @pytest.mark.parametrize("place", ["qpos", "qvel", "ctrl"])
 @pytest.mark.parametrize("spoil", NO_NUMBERS)
-def test_a_state_that_holds_no_numbers_is_refused_by_name(
-    bench: fz.Bench, place: str, spoil: Callable[[torch.Tensor], Any]
-) -> None:
+def test_a_state_that_holds_no_numbers_is_refused_by_name(bench, place, spoil):
     arrays: dict[str, Any] = dict(zip(("qpos", "qvel", "ctrl"), whole(), strict=True))
     arrays[place] = spoil(arrays[place])
     with pytest.raises(ConfigError, match=f"^{place}: "):
@@ -309,9 +311,7 @@ def test_the_page_s_loop_finds_its_drive(capsys: pytest.CaptureFixture[str]) -> 
     np.testing.assert_allclose([float(word) for word in capsys.readouterr().out.split()], [0.04, 0.2, 0.1], rtol=0.01)
 
 
-def test_the_page_reads_a_run_back(
-    finished_run: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_reads_a_run_back(finished_run, tmp_path, monkeypatch, capsys):
     folder, finished = finished_run("mujoco_default")
     (tmp_path / "run").symlink_to(folder)
     monkeypatch.chdir(tmp_path)

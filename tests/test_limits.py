@@ -75,9 +75,7 @@ def stalls_at(law: str, v: dict[str, float], supply: float) -> float:
     st.floats(3, 15),
     st.integers(0, 10_000),
 )
-def test_limits_are_within_motion_torque_and_stall(
-    benches: dict[str, Bench], law: str, share: float, rate: float, late: int, supply: float, seed: int
-) -> None:
+def test_limits_are_within_motion_torque_and_stall(benches, law, share, rate, late, supply, seed):
     bench, rng = benches[law], np.random.default_rng(seed)
     identified = {name: share * value for name, value in bench.initial_values().items()}
     identified["delay"] = np.array([late * 0.002])

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,7 +15,6 @@ from frictionzoo.core.log import Log, Payload
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.fit.chunk import search
-from frictionzoo.identification import Problem
 from frictionzoo.result.evaluate import predict
 from frictionzoo.simulation import Values, friction_of, make_engine
 from frictionzoo.simulation.rollout import Rollout, make_rollout
@@ -97,12 +95,7 @@ def test_a_law_is_found_again(make: Callable[..., Any], name: str) -> None:
 
 
 @pytest.mark.slow
-def test_load_friction_of_bams_own_equations_is_identified(
-    compose: Callable[..., Any],
-    pose_problem: Callable[[Any], Problem],
-    write_bam_file: Callable[..., Path],
-    tmp_path: Path,
-) -> None:
+def test_load_friction_of_bams_own_equations_is_identified(compose, pose_problem, write_bam_file, tmp_path):
     """What acts in motion. MuJoCo's constraint is soft where BAM's joint sticks, and shifts what acts at rest alone."""
     (logs := tmp_path / "logs").mkdir()
     write_logs(logs, M5, seconds=4.0)

@@ -219,10 +219,7 @@ def check(run: Path, finished: Finished, logger: str) -> None:
     for name, text in {"model": "coulomb_smooth", "data": "files", "fit": "adam", "dtype": "float64"}.items():
         assert told[name] == text
     for name, number in {
-        "seed": 0,
-        "segments.length": 5,
-        "fit.learning_rate": 0.01,
-        "fit.iterations": ITERATIONS,
+        **{"seed": 0, "segments.length": 5, "fit.learning_rate": 0.01, "fit.iterations": ITERATIONS},
     }.items():
         assert float(told[name]) == number
     assert not {name for name in told if name.endswith("_target_") or name.startswith(("logger", "resume"))}
@@ -253,9 +250,7 @@ def test_tensorboard_has_a_chart_for_each_parameter(finished_run: Callable) -> N
 
 
 @pytest.mark.parametrize("logger", slow_but(["csv"], READERS))
-def test_an_interrupted_and_resumed_run_is_recorded_once(
-    call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: str
-) -> None:
+def test_an_interrupted_and_resumed_run_is_recorded_once(call, tiny, tmp_path, monkeypatch, logger):
     run, save = tmp_path / "run", loop._Saver.on_train_epoch_end
 
     def save_once(*arguments: Any) -> None:
@@ -299,9 +294,7 @@ def test_every_logger_of_the_configuration_is_tested() -> None:
     ("name", "option", "lost"),
     [("Wandb", "project", "wandb"), ("Mlflow", "experiment", "mlflow"), ("Mlflow", "experiment", "sqlalchemy")],
 )
-def test_a_missing_package_is_told_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, name: str, option: str, lost: str
-) -> None:
+def test_a_missing_package_is_told_in_one_line(monkeypatch, name, option, lost):
     section = {"_target_": f"frictionzoo.fit.loggers.{name}", option: "friction"}
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == lost else name)
     with pytest.raises(ConfigError, match=rf"^logger={name.lower()}: {lost} "):

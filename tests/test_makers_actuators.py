@@ -5,7 +5,6 @@ from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -35,15 +34,11 @@ from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.simulation import friction_of, make_engine
 from frictionzoo.simulation.rollout import make_rollout
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 VARIANTS = dict(variants())
 SAME = 1e-9
 KNOWN = {"armature": {"identify": False}}
-
-
-@pytest.fixture(autouse=True)
-def x64() -> object:
-    with jax.enable_x64(True):
-        yield
 
 
 def test_a_bench_is_the_makers_file(tmp_path: Path) -> None:

@@ -30,20 +30,10 @@ LAWS = ("dahl", "dahl_load_dependent", "lugre", "lugre_load_dependent", "maxwell
 LOADED = ("dahl_load_dependent", "lugre_load_dependent", "torque_proportional")
 MASS = 95.0  # kg
 TRUTH = {
-    "stiffness": 2e5,
-    "coulomb_torque": 20.0,
-    "micro_damping": 300.0,
-    "static_torque": 26.0,
-    "kinetic_torque": 20.0,
-    "stribeck_velocity": 0.01,
-    "presliding": 2e-4,
-    "lag": 2e-3,
-    "load_friction": 0.02,
-    "stribeck_load_friction": 0.01,
-    "load_friction_driving": 0.1,
-    "load_friction_braking": 0.04,
-    "viscous_coefficient": 200.0,
-    "rest_velocity": 1e-3,
+    **{"stiffness": 2e5, "coulomb_torque": 20.0, "micro_damping": 300.0, "static_torque": 26.0},
+    **{"kinetic_torque": 20.0, "stribeck_velocity": 0.01, "presliding": 2e-4, "lag": 2e-3, "load_friction": 0.02},
+    **{"stribeck_load_friction": 0.01, "load_friction_driving": 0.1, "load_friction_braking": 0.04},
+    **{"viscous_coefficient": 200.0, "rest_velocity": 1e-3},
 }
 """Of the size of the EMPS carriage's: N, m, s."""
 
@@ -125,9 +115,7 @@ def test_maxwells_elements_slip_one_after_the_other(build: Callable[[str], Frict
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_what_has_settled_in_motion_is_the_law_at_constant_velocity(
-    build: Callable[[str], FrictionModel], name: str
-) -> None:
+def test_what_has_settled_in_motion_is_the_law_at_constant_velocity(build, name):
     law = build(name)
     values = {name: torch.tensor(value) for name, value in truth(law).items()}
     zero, speeds = torch.zeros(4, 1), torch.tensor([[0.1], [-0.1], [0.03], [-0.02]], dtype=torch.float64)
@@ -143,9 +131,7 @@ def test_what_has_settled_in_motion_is_the_law_at_constant_velocity(
 
 @pytest.mark.parametrize("motor", [40.0, -40.0])
 @pytest.mark.parametrize("timestep", [1e-4, 1e-2])
-def test_a_share_of_the_torque_builds_up_along_its_curve(
-    build: Callable[[str], FrictionModel], motor: float, timestep: float
-) -> None:
+def test_a_share_of_the_torque_builds_up_along_its_curve(build, motor, timestep):
     """From rest, the memory over displacement is 1 - exp(-x / h), whatever the step, and at last the sign."""
     law, moved = build("torque_proportional"), 4e-6 * np.arange(2, 22)  # m
     for speed in (moved[0] / 2 / timestep, -moved[0] / 2 / timestep):
@@ -170,9 +156,7 @@ def test_what_has_settled_at_rest_holds_the_load(build: Callable[[str], Friction
     assert (20 + 0.05 * 30) * z + 0.05 * motor * z**2 == pytest.approx(np.clip(asked, -limit, limit), rel=1e-12)
 
 
-def test_a_share_of_the_torque_may_be_all_of_the_friction(
-    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench]
-) -> None:
+def test_a_share_of_the_torque_may_be_all_of_the_friction(build, carriage):
     """As its source has it: without a Coulomb torque nothing is divided by 0, and a force drives but for its share."""
     law, force = build("torque_proportional"), np.repeat([0.0, 30.0], [2, 500])
     qpos, qvel = simulate(carriage(), law, force, coulomb_torque=0.0)
@@ -205,9 +189,7 @@ def formula(law: FrictionModel) -> Callable[[float, float, float], tuple[float, 
 @pytest.mark.parametrize(
     "name", slow_but(["dahl", "lugre", "torque_proportional"], [name for name in LAWS if name != "maxwell_slip"])
 )
-def test_a_rollout_follows_an_ode_solver(
-    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
-) -> None:
+def test_a_rollout_follows_an_ode_solver(build, carriage, name):
     """Presliding, breakaway and reversal: the error is small at 1 ms and halves with the step.
 
     Maxwell's elements switch; their curve has a closed form above.
@@ -239,9 +221,7 @@ def test_a_rollout_follows_an_ode_solver(
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_no_stiffness_makes_a_step_unstable(
-    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
-) -> None:
+def test_no_stiffness_makes_a_step_unstable(build, carriage, name):
     law, force = build(name), 40 * np.sin(2 * np.pi * 4 * np.arange(1000) * 1e-3)
     stiff = {"presliding": 1e-8} if "presliding" in law.params else {"stiffness": 1e10}
     soft, (qpos, qvel) = simulate(carriage(), law, force), simulate(carriage(), law, force, **stiff)
@@ -251,9 +231,7 @@ def test_no_stiffness_makes_a_step_unstable(
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_a_loaded_joint_holds_until_it_breaks_away(
-    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
-) -> None:
+def test_a_loaded_joint_holds_until_it_breaks_away(build, carriage, name):
     """A rollout that begins at rest begins with the bend that holds the load; a smooth sign would creep."""
     law, bench = build(name), carriage()
     below, above = (simulate(bench, law, np.full(1000, force))[0] for force in (15.0, 30.0))
@@ -261,9 +239,7 @@ def test_a_loaded_joint_holds_until_it_breaks_away(
     assert above[-1] > 0.02
 
 
-def test_the_bristles_break_away_above_the_sliding_friction(
-    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench]
-) -> None:
+def test_the_bristles_break_away_above_the_sliding_friction(build, carriage):
     """Between kinetic and static friction a force does not start the carriage, yet keeps a moving one going."""
     law, bench, force = build("lugre"), carriage(), np.full(1000, 24.0)
     at_rest, moving = simulate(bench, law, force), simulate(bench, law, force, qvel=0.05)
@@ -272,9 +248,7 @@ def test_the_bristles_break_away_above_the_sliding_friction(
 
 
 @pytest.mark.parametrize("name", slow_but(["lugre"], LAWS))
-def test_gradient_of_a_rollout_equals_central_differences(
-    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
-) -> None:
+def test_gradient_of_a_rollout_equals_central_differences(build, carriage, name):
     law, bench = build(name), carriage()
     force = 45 * np.sin(2 * np.pi * 5 * np.arange(60) * 1e-3)
     names = [key for key, param in law.params.items() if param.identify]
@@ -298,9 +272,7 @@ def test_gradient_of_a_rollout_equals_central_differences(
     assert min(map(abs, slope.values())) > 1e-6
 
 
-def test_a_law_whose_memory_does_not_settle_is_refused(
-    build: Callable[[str], FrictionModel], make: Callable[..., Any]
-) -> None:
+def test_a_law_whose_memory_does_not_settle_is_refused(build, make):
     with pytest.raises(ConfigError, match="elements=0"):
         make("model", "model=maxwell_slip", "bench=emps", "model.elements=0", nv=1)
     law = copy.copy(build("dahl"))
@@ -334,9 +306,7 @@ def swing(sizes: Sequence[float], rates: Sequence[float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", slow_but(["dahl"], LAWS))
-def test_known_parameters_are_recovered(
-    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
-) -> None:
+def test_known_parameters_are_recovered(build, carriage, name):
     force = swing([12, 18, 24, 30, 40, 60], [2.0, 5.0, 9.0])
     shares = recover(carriage(), build(name), TRUTH | {"armature": MASS}, force)
     assert shares == {parameter: pytest.approx(1.0, abs=0.05) for parameter in shares}

@@ -154,38 +154,7 @@ def check_opposes(name, bench):
         assert (rest.torque.abs() <= (0.0 if rest.frictionloss is None else rest.frictionloss)).all()
 
 
-def test_baseline_has_no_friction():
-    assert friction(make_law("baseline"), [1.0, -2.0]) == FrictionTerms(None, None, None)
-
-
-def test_mujoco_default_hands_its_values_to_the_constraint():
-    terms = friction(make_law("mujoco_default"), [1.0], frictionloss=0.3, damping=0.07)
-    assert (terms.torque, terms.frictionloss.item(), terms.damping.item()) == (None, 0.3, 0.07)
-
-
-def test_coulomb_smooth_known_values():
-    terms = friction(
-        make_law("coulomb_smooth"), [0.0, 0.1, -2.0], static_torque=0.4, smoothing=0.5, viscous_coefficient=0.2
-    )
-    # tanh(10 * 0.5 * 0.1) = tanh(0.5) = 0.46211715726000975; tanh(10) is 1 but for 4e-9
-    assert terms.torque.flatten().tolist() == pytest.approx([0.0, 0.4 * 0.46211715726000975 + 0.02, -0.8], abs=1e-8)
-
-
-def test_coulomb_stribeck_known_values():
-    values = {"static_torque": 0.5, "kinetic_torque": 0.3, "stribeck_velocity": 0.1, "smoothing_velocity": 0.01}
-    terms = friction(make_law("coulomb_stribeck"), [0.0, 0.1, -0.2, 3.0, 0.01], viscous_coefficient=0.2, **values)
-    # exp(-1) = 0.36787944117144233, exp(-4) = 0.018315638888734179, exp(-0.01) = 0.99004983374916811,
-    # tanh(1) = 0.76159415595576489; tanh(10) is 1 but for 4e-9
-    expected = [
-        0.0,
-        0.3 + 0.2 * 0.36787944117144233 + 0.02,
-        -(0.3 + 0.2 * 0.018315638888734179 + 0.04),
-        0.3 + 0.6,
-        (0.3 + 0.2 * 0.99004983374916811) * 0.76159415595576489 + 0.002,
-    ]
-    assert terms.torque.flatten().tolist() == pytest.approx(expected, abs=1e-8)
-
-
+BELL, TANH, LATE = 0.36787944117144233, 0.46211715726000975, 0.76159415595576489  # exp(-1), tanh(0.5), tanh(1)
 FALLS = {"frictionloss": 0.3, "damping": 0.07, "stribeck_torque": 0.2, "stribeck_velocity": 0.1}
 SIDES = {
     **{"load_friction_motor": 0.1, "load_friction_external": 0.3},
@@ -194,14 +163,63 @@ SIDES = {
 SQUARES = {"quadratic_load_friction_motor": 0.07, "quadratic_load_friction_external": 0.11}
 SHARES = [1.0, 0.36787944117144233, 0.059105746561956225, 0.0]  # exp(-|v / 0.1|^1.5) at v of SPEEDS
 SPEEDS = [0.0, 0.1, -0.2, 3.0]
+FALLS_15 = FALLS | {"stribeck_exponent": 1.5}
+LOADED = {"load_friction": 0.1}
 
 
-@pytest.mark.parametrize("motor, external", [(2.0, -0.5), (0.0, 0.0)], ids=["loaded", "free"])
-def test_stribeck_known_values(motor, external):
-    terms = friction(make_law("stribeck"), SPEEDS, motor, external, **FALLS, stribeck_exponent=1.5)
-    assert terms.torque is None and terms.damping.item() == 0.07
+def limits(always: float, at_rest: float = 0.2) -> list[float]:
+    return [always + at_rest * share for share in SHARES]
+
+
+STRIBECK = [0.0, 0.3 + 0.2 * BELL + 0.02, -(0.3 + 0.2 * 0.018315638888734179 + 0.04), 0.3 + 0.6]
+STRIBECK.append((0.3 + 0.2 * 0.99004983374916811) * LATE + 0.002)
+# Law, speeds, torque of the motor and from outside, values; torque, frictionloss and damping.
+KNOWN_VALUES = [
+    ("baseline", [1.0, -2.0], (0, 0), {}, (None, None, None)),
+    ("mujoco_default", [1.0], (0, 0), {"frictionloss": 0.3, "damping": 0.07}, (None, [0.3], 0.07)),
+    (  # tanh(10 v smoothing); tanh(10) is 1 but for 4e-9
+        *("coulomb_smooth", [0.0, 0.1, -2.0], (0, 0)),
+        {"static_torque": 0.4, "smoothing": 0.5, "viscous_coefficient": 0.2},
+        ([0.0, 0.4 * TANH + 0.02, -0.8], None, None),
+    ),
+    (
+        *("coulomb_stribeck", [0.0, 0.1, -0.2, 3.0, 0.01], (0, 0)),
+        {"static_torque": 0.5, "kinetic_torque": 0.3, "stribeck_velocity": 0.1, "smoothing_velocity": 0.01}
+        | {"viscous_coefficient": 0.2},  # exp(-4) = 0.018315638888734179, exp(-0.01) = 0.99004983374916811
+        (STRIBECK, None, None),
+    ),
     # The share at rest is exp(-1e-9) with this exponent.
-    assert terms.frictionloss.flatten().tolist() == pytest.approx([0.3 + 0.2 * s for s in SHARES], abs=1e-9)
+    *(("stribeck", SPEEDS, torques, FALLS_15, (None, limits(0.3), 0.07)) for torques in ((2.0, -0.5), (0, 0))),
+    # Holding a weight loads the gear; a weight that pulls with the motor does not.
+    *(
+        ("load_dependent", [0.0, 5.0], torques, FALLS_15 | LOADED, (None, [0.3 + 0.1 * load] * 2, 0.07))
+        for torques, load in (((2.0, -2.0), 4.0), ((2.0, 2.0), 0.0), ((0.0, -3.0), 3.0), ((-1.0, 0.5), 1.5))
+    ),
+    (  # The load is 3.
+        *("stribeck_load_dependent", SPEEDS, (2.0, -1.0), FALLS_15 | LOADED | {"stribeck_load_friction": 0.05}),
+        (None, limits(0.3 + 0.3, 0.2 + 0.15), 0.07),
+    ),
+    *(
+        (law, SPEEDS, torques, FALLS_15 | SIDES | more, (None, limits(0.3 + always, 0.2 + at_rest + add), 0.07))
+        for torques, always, at_rest, squared in (
+            ((2.0, -1.0), 0.2 + 0.3, 0.1 + 0.02, 0.11 * 1.0),  # the motor drives
+            ((-1.0, 2.0), 0.1 + 0.6, 0.05 + 0.04, 0.07 * 1.0),  # it is driven
+            ((3.0, 1.0), 0.3 - 0.3, 0.15 - 0.02, 0.0),  # both push the same way
+            ((-1.0, -3.0), 0.9 - 0.1, 0.06 - 0.05, 0.0),
+        )
+        for law, more, add in (("directional", {}, 0.0), ("quadratic", SQUARES, squared))
+    ),
+]
+
+
+def test_known_values() -> None:
+    def check(name: str, speeds: list[float], torques: tuple, values: dict, expected: tuple) -> None:
+        for term, wanted in zip(friction(make_law(name), speeds, *torques, **values), expected, strict=True):
+            assert (term is None) == (wanted is None)
+            if term is not None:
+                np.testing.assert_allclose(term.flatten(), wanted, atol=1e-8 if "coulomb" in name else 1e-9, rtol=0)
+
+    check_each(check, KNOWN_VALUES)
 
 
 def test_a_stribeck_law_stays_finite_at_any_speed():
@@ -213,24 +231,6 @@ def test_a_stribeck_law_stays_finite_at_any_speed():
     model(DriveState(zero, qvel, zero, zero, zero)).frictionloss.sum().backward()
     assert torch.isfinite(qvel.grad).all()
     assert all(torch.isfinite(value.grad).all() for value in model.parameters() if value.grad is not None)
-
-
-@pytest.mark.parametrize(
-    "motor, external, load", [(2.0, -2.0, 4.0), (2.0, 2.0, 0.0), (0.0, -3.0, 3.0), (-1.0, 0.5, 1.5)]
-)
-def test_load_dependent_known_values(motor, external, load):
-    """Holding a weight loads the gear; a weight that pulls with the motor does not."""
-    values = {"frictionloss": 0.3, "damping": 0.07, "load_friction": 0.1}
-    terms = friction(make_law("load_dependent"), [0.0, 5.0], motor, external, **values)
-    assert terms.frictionloss.flatten().tolist() == pytest.approx(2 * [0.3 + 0.1 * load], abs=1e-15)
-    assert terms.torque is None and terms.damping.item() == 0.07
-
-
-def test_stribeck_load_dependent_known_values():
-    values = FALLS | {"stribeck_exponent": 1.5, "load_friction": 0.1, "stribeck_load_friction": 0.05}
-    limit = friction(make_law("stribeck_load_dependent"), SPEEDS, 2.0, -1.0, **values).frictionloss
-    # The load is 3.
-    assert limit.flatten().tolist() == pytest.approx([0.3 + 0.3 + (0.2 + 0.15) * s for s in SHARES], abs=1e-9)
 
 
 @pytest.mark.parametrize("speed", [0.05, -0.1, 0.4])
@@ -253,23 +253,6 @@ def test_laws_that_remember_slide_at_their_limit_under_load(speed):
         terms = friction(make_law(name), [speed], 2.0, -1.0, **values)
         slid = terms.torque.item() + terms.damping.item() * speed
         assert slid == pytest.approx(sign * limit + 0.07 * speed, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    "motor, external, always, at_rest, squared",
-    [
-        (2.0, -1.0, 0.2 + 0.3, 0.1 + 0.02, 0.11 * 1.0),  # the motor drives
-        (-1.0, 2.0, 0.1 + 0.6, 0.05 + 0.04, 0.07 * 1.0),  # it is driven
-        (3.0, 1.0, 0.3 - 0.3, 0.15 - 0.02, 0.0),  # both push the same way
-        (-1.0, -3.0, 0.9 - 0.1, 0.06 - 0.05, 0.0),
-    ],
-)
-def test_directional_and_quadratic_known_values(motor, external, always, at_rest, squared):
-    values = FALLS | SIDES | {"stribeck_exponent": 1.5}
-    for name, more, add in (("directional", {}, 0.0), ("quadratic", SQUARES, squared)):
-        limit = friction(make_law(name), SPEEDS, motor, external, **values, **more).frictionloss
-        expected = [0.3 + always + (0.2 + at_rest + add) * share for share in SHARES]
-        assert limit.flatten().tolist() == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(

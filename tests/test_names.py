@@ -305,18 +305,14 @@ CHEAP = [target for target in TARGETS if target not in SLOW]
 
 
 @pytest.mark.parametrize("target", slow_but(CHEAP, TARGETS))
-def test_a_target_writes_names_as_data(
-    target: str, plain: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_target_writes_names_as_data(target, plain, tmp_path_factory):
     for names in HOSTILE[:2]:
         judge(target, plain(target), tmp_path_factory.mktemp(target), names)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", CHEAP)
-def test_a_target_writes_any_name_as_data(
-    target: str, plain: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_target_writes_any_name_as_data(target, plain, tmp_path_factory):
     @settings(EXAMPLES, max_examples=12)
     @given(TWO_NAMES)
     def writes(names: tuple[str, str]) -> None:
@@ -420,9 +416,7 @@ CARDS = ["/leg/knee", "a|b`c <i>\n## x"]
 
 
 @pytest.mark.parametrize("name", slow_but(CARDS, [*CARDS, r"C:\x", "~/a", f"{Path.home()}/knee", "${oc.env:HOME}"]))
-def test_a_card_keeps_names_and_shortens_paths(
-    name: str, finished_run: Callable, recording: Path, tmp_path: Path
-) -> None:
+def test_a_card_keeps_names_and_shortens_paths(name, finished_run, recording, tmp_path):
     run, _ = finished_run("mujoco_default")
     drive = rename_knee(fz.load(run), tmp_path / "robot.xml", name)
     with pytest.MonkeyPatch.context() as patch:

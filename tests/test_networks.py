@@ -1,6 +1,6 @@
 """What the laws with a network promise whatever their weights, looked at over a million states of every magnitude."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 
 import jax
@@ -16,6 +16,8 @@ from frictionzoo.models.dissipative_network import softplus
 from frictionzoo.models.network import reverse
 from frictionzoo.simulation.bridge import to_jax
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 STATES = 125_000  # times 8 seeds of weights make a million
 SIZES = [0.1, 1.0, 10.0, 100.0]  # of the weights: of a fresh network, and of one that a fit has driven far
 LIMIT = 0.2
@@ -30,12 +32,6 @@ LAWS: dict[str, Callable[[int], FrictionModel]] = {
     "odd_network": lambda seed: OddNetwork(1, [8, 8], seed),
     "residual_network": lambda seed: ResidualNetwork(1, [8, 8], LIMIT, seed, PHYSICAL),
 }
-
-
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 @cache

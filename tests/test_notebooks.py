@@ -58,7 +58,7 @@ SHORT = {  # a notebook's parameters in its short mode, how many figures it show
     "paper": (
         'FOLDER = "paper"\nMODELS = "baseline,coulomb_smooth,mujoco_default"\n'
         'OPTIONS = ["data.samples=30000", "data.cache_dir=null", "segments.count=1000", "fit.iterations=300", '
-        '"evaluation.trajectory=1.0"]',
+        '"evaluation.trajectory=1.0", "evaluation.rollouts=3", "evaluation.places=3", "discretisation=false"]',
         5,
         hold_paper,
     ),

@@ -14,6 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from jaxtyping import TypeCheckError
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo.bench.given import Given
 from frictionzoo.cli import job
 from frictionzoo.cli.explain import explain
 from frictionzoo.cli.overrides import refuse_no_choice
@@ -95,6 +96,14 @@ def judge(call: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ca
     monkeypatch.setattr(problem, "prove", lambda *_: Proof(0.0, 0.0, 1, 1))
     monkeypatch.setattr(problem, "_training_samples", seen)
     monkeypatch.setattr(loop, "FitModule", begin)
+    read, given = Given.read, {}
+
+    def read_once(settings: Any) -> Given:
+        sections = repr([settings.get(name) for name in ("data", "bench", "model")])
+        found = given[sections] = given.get(sections) or read(settings)
+        return found._replace(settings={**settings, "bench": found.settings["bench"]})
+
+    monkeypatch.setattr(Given, "read", read_once)
 
     def judge(config: DictConfig, plain: DictConfig, key: str, value: Any) -> str | None:
         before = functools.reduce(operator.getitem, key.split("."), OmegaConf.to_container(config))
@@ -129,9 +138,7 @@ def judge(call: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ca
         *(f"fit.iterations={10**9}", f"segments.count={10**9}"),
     ],
 )
-def test_a_problem_of_an_absurd_size_is_refused_by_its_option(
-    judge: Callable, tiny: tuple[str, ...], arguments: str
-) -> None:
+def test_a_problem_of_an_absurd_size_is_refused_by_its_option(judge, tiny, arguments):
     """Or begins: a fit of many iterations, as many segments as there are, and rollouts as long as the recordings."""
     *choices, last = arguments.split()
     key, value = parse(last)
@@ -223,13 +230,12 @@ def absurd_values(prefix: str, config: DictConfig) -> Iterator[tuple[str, Any]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("choices", "prefix"), PROBLEMS, ids=[choices[0] for choices, _ in PROBLEMS])
-def test_no_value_of_any_option_is_a_traceback(
-    judge: Callable, tiny: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, choices: tuple[str, ...], prefix: str
-) -> None:
+def test_no_value_of_any_option_is_a_traceback(judge, tiny, monkeypatch, choices, prefix):
     monkeypatch.setattr(loggers, "_require", lambda *packages: None)  # loggers whose package is not installed
     simulated = choices[0].startswith("data=t")
     small = [option for option in tiny if not (simulated and option.startswith("data"))]
     config, plain = compose_config(*small, *choices), compose_once(*FILES.split(), choices[0])
+    plain = OmegaConf.create(OmegaConf.to_container(plain, resolve=True))  # resolving it each time took a tenth
     for key, value in absurd_values(prefix, config):
         line = judge(config, plain, key, value)
         # A number may be refused by what it leads to; what is none, only as itself.

@@ -21,12 +21,8 @@ from frictionzoo.models import model_names
 
 INSTALL, CHECK, RUN, COMPARE, TORCH = blocks_of(PACKAGE / "README.md")
 PARAMETERS = {
-    "stribeck_torque": "N m",
-    "stribeck_rise": "s/rad",
-    "stribeck_decay": "s/rad",
-    "coulomb_torque": "N m",
-    "coulomb_rise": "s/rad",
-    "viscous_coefficient": "N m s/rad",
+    **{"stribeck_torque": "N m", "stribeck_rise": "s/rad", "stribeck_decay": "s/rad", "coulomb_torque": "N m"},
+    **{"coulomb_rise": "s/rad", "viscous_coefficient": "N m s/rad"},
 }
 
 pytestmark = pytest.mark.usefixtures("in_haste")

@@ -51,10 +51,7 @@ FORMS: dict[str, dict[str, str]] = {
     "fields": {"qpos": "{}.pos", "qvel": "{}.vel", "ctrl": "cmd.{}.pos", "torque": "{}.tau"},
     "brackets": {"qpos": "position[{}]", "qvel": "velocity[{}]", "ctrl": "command[{}]", "torque": "effort[{}]"},
     "topics": {
-        "qpos": "/js/{}/position",
-        "qvel": "/js/{}/velocity",
-        "ctrl": "/cmd/{}/position",
-        "torque": "/js/{}/tau",
+        **{"qpos": "/js/{}/position", "qvel": "/js/{}/velocity", "ctrl": "/cmd/{}/position", "torque": "/js/{}/tau"},
     },
     "camel": {"qpos": "{}Position", "qvel": "{}Velocity", "ctrl": "{}PositionCommand", "torque": "{}Torque"},
     "unitree": {"qpos": "pos_{}", "qvel": "vel_{}", "ctrl": "posDes_{}", "torque": "torEst_{}"},
@@ -190,9 +187,7 @@ def test_headers_give_names_where_no_bench_does():
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path, dict], Path]]] = {
-    "csv": ("log.csv", write_csv),
-    "parquet": ("log.parquet", write_parquet),
-    "npz": ("log.npz", write_npz),
+    **{"csv": ("log.csv", write_csv), "parquet": ("log.parquet", write_parquet), "npz": ("log.npz", write_npz)},
     "mat": ("log.mat", write_mat),
 }
 

@@ -37,27 +37,16 @@ def test_a_step_of_the_coordinate_is_a_share():
     assert make(scale=0.5).from_coordinate(0.4 + 0.01, np) == pytest.approx(0.2 + 0.005, rel=1e-12)
 
 
-def test_a_section_becomes_a_parameter():
-    param = make(init="0.2", scale=2, identify=False)
-    assert (param.name, param.dimension) == ("armature", "inertia")
-    assert (param.init, param.low, param.high, param.scale, param.identify) == (0.2, 0.01, 1.0, 2.0, False)
-
-
 @pytest.mark.parametrize(
     ("dimension", "hinge", "slide"),
     [
-        ("inertia", "kg m^2", "kg"),
-        ("torque", "N m", "N"),
-        ("damping", "N m s/rad", "N s/m"),
+        *(("inertia", "kg m^2", "kg"), ("torque", "N m", "N"), ("damping", "N m s/rad", "N s/m")),
         ("velocity", "rad/s", "m/s"),
     ],
 )
 def test_the_unit_follows_from_the_joint(dimension, hinge, slide):
     param = Param.from_config("x", dimension, GOOD)
     assert (param.unit("hinge"), param.unit("slide")) == (hinge, slide)
-
-
-def test_both_joints_have_a_unit_for_every_dimension():
     assert UNITS["hinge"].keys() == UNITS["slide"].keys()
 
 
@@ -89,23 +78,22 @@ def test_every_key_of_a_section_is_needed(key):
         Param.from_config("armature", "inertia", {k: v for k, v in GOOD.items() if k != key})
 
 
-def test_declared_parameters_are_read_in_their_order():
+def test_sections_become_parameters_in_the_order_in_which_they_are_declared():
+    param = make(init="0.2", scale=2, identify=False)
+    assert (param.name, param.dimension) == ("armature", "inertia")
+    assert (param.init, param.low, param.high, param.scale, param.identify) == (0.2, 0.01, 1.0, 2.0, False)
     dimensions = {"viscous_coefficient": "damping", "coulomb_torque": "torque"}
     params = read_params("Law", dimensions, {"coulomb_torque": GOOD, "viscous_coefficient": GOOD})
     assert list(params) == ["viscous_coefficient", "coulomb_torque"]
     assert params["coulomb_torque"].dimension == "torque"
 
 
-def test_a_parameter_that_the_law_does_not_have():
+def test_a_parameter_that_the_law_lacks_or_that_lacks_a_section():
+    law = "Law", {"coulomb_torque": "torque"}
     with pytest.raises(ConfigError, match=r"^Law: unknown parameter colomb_torque; did you mean coulomb_torque\?"):
-        read_params("Law", {"coulomb_torque": "torque"}, {"coulomb_torque": GOOD, "colomb_torque": GOOD})
-
-
-def test_a_parameter_without_a_section():
-    with pytest.raises(
-        ConfigError, match=r"^Law: no parameter coulomb_torque; give its value, or params\.coulomb_torque"
-    ):
-        read_params("Law", {"coulomb_torque": "torque"}, {})
+        read_params(*law, {"coulomb_torque": GOOD, "colomb_torque": GOOD})
+    with pytest.raises(ConfigError, match=r"^Law: no parameter coulomb_torque; give its value, or params\.coulomb_t"):
+        read_params(*law, {})
 
 
 @pytest.mark.parametrize("value", [1e6, 0.0, 1e-9])
@@ -117,9 +105,6 @@ def test_a_known_value_is_not_held_to_the_bounds_of_a_fit(value):
     if not 0.01 <= value <= 1:
         with pytest.raises(ConfigError, match=r"^armature: init="):
             make(init=value, identify=True)
-
-
-def test_a_known_value_is_a_number():
     with pytest.raises(ConfigError, match=r"^armature: nan"):
         make(init=float("nan"), identify=False)
 

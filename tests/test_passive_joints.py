@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -18,6 +17,8 @@ from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.simulation.proof import TOLERANCE, Recorded, prove
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 STEP, NAMES = 0.002, ("waist", "shoulder", "elbow", "wrist")
 KNOWN = {"armature": {"identify": False}}
 ACTUATORS = {
@@ -28,12 +29,6 @@ ACTUATORS = {
     "none": "",
 }
 OF_PD = ("position", "stiff", "velocity", "none")
-
-
-@pytest.fixture(autouse=True)
-def x64() -> object:
-    with jax.enable_x64(True):
-        yield
 
 
 def write(folder: Path, kinds: Sequence[str], rest: str = "", seed: int = 0) -> str:
@@ -68,9 +63,7 @@ def record(joints: int, commands: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("of", [OF_PD, ("motor", "none")], ids=["controllers", "motors"])
 @pytest.mark.parametrize("seed", range(4))
-def test_joints_with_and_without_actuators_move_as_in_the_makers_file(
-    seed: int, of: Sequence[str], tmp_path: Path
-) -> None:
+def test_joints_with_and_without_actuators_move_as_in_the_makers_file(seed, of, tmp_path):
     kinds = draw_kinds(seed, of)
     path = write(tmp_path, kinds, seed=seed)
     robot = fz.Robot(path, params=KNOWN)

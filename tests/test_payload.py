@@ -1,6 +1,5 @@
 """Payloads: a recording's own mass on the bench, in both engines, in a fit over several recordings, and refused."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import slow_but
 from helpers.engine_cases import BODIES, KNOWN, chain, law, random_cases, step_of
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import NO_PAYLOAD
@@ -21,10 +20,9 @@ from frictionzoo.core.log import Log, Payload
 from frictionzoo.data.recording import Recording
 from frictionzoo.data.select import choose_payloads
 from frictionzoo.fit.chunk import search
-from frictionzoo.identification import Problem
 from frictionzoo.result.evaluate import Evaluator, predict
 from frictionzoo.result.record import describe_data
-from frictionzoo.simulation import Engine, MjxEngine, SpecialisedEngine
+from frictionzoo.simulation import MjxEngine, SpecialisedEngine
 
 PAYLOADS = [
     Payload(0.7, (0.02, -0.01, -0.2), (0.001, 0.002, 0.0015)),
@@ -32,12 +30,6 @@ PAYLOADS = [
     NO_PAYLOAD,
 ]
 TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
-
-
-@pytest.fixture
-def x64(in_haste: None) -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def make_bench(
@@ -71,7 +63,7 @@ def test_a_load_does_not_know_where_the_armature_begins(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loads, np.broadcast_to(loads[0], np.shape(loads)))
 
 
-@pytest.mark.usefixtures("x64")
+@pytest.mark.usefixtures("in_haste", "x64")
 @pytest.mark.parametrize(
     ("body", "constraint", "kind"),
     slow_but(
@@ -85,9 +77,7 @@ def test_a_load_does_not_know_where_the_armature_begins(tmp_path: Path) -> None:
         ],
     ),
 )
-def test_a_step_with_a_payload_is_that_of_a_welded_body(
-    tmp_path: Path, body: str, constraint: bool, kind: type[Engine]
-) -> None:
+def test_a_step_with_a_payload_is_that_of_a_welded_body(tmp_path, body, constraint, kind):
     """Or, for one of three, that of the bench itself."""
     joints = 2 if body == "chain" else 1
     simple = '<joint name="j0" type="slide"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
@@ -125,9 +115,7 @@ def record(path: Path, bench: Bench, payload: Payload, seed: int) -> None:
     np.savetxt(path, rows, fmt="%.12g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
 
 
-def test_one_drive_is_found_from_recordings_with_different_payloads(
-    compose: Callable[..., DictConfig], pose_problem: Callable[[Any], Problem], tmp_path: Path
-) -> None:
+def test_one_drive_is_found_from_recordings_with_different_payloads(compose, pose_problem, tmp_path):
     body = BODIES["hinge with gravity"]
     bench = make_bench(tmp_path, f'<body name="carrier">{body}</body>', 1)
     for index, payload in enumerate(PAYLOADS):

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -203,13 +203,7 @@ def identify(settings: dict[str, Any]) -> Any:
         return run_fit(problem.fit, problem.objective, problem.drive.model, **settings["loop"])
 
 
-def test_a_law_is_one_file(
-    add: Callable[..., None],
-    tiny: Sequence[str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_law_is_one_file(add, tiny, tmp_path, capsys, monkeypatch):
     add("models", "round_coulomb", LAW)
     line = "Coulomb friction with a hyperbolic sign, and viscous friction."
     assert listed(capsys, "models")["round_coulomb"] == ["frictionzoo", "model=round_coulomb", line]
@@ -273,9 +267,7 @@ def test_a_format_is_one_file(add: Callable[..., None], tmp_path: Path, capsys: 
         assert table.columns["qpos"].tolist() == [1, 2]
 
 
-def test_a_fit_method_is_two_files(
-    add: Callable[..., None], tiny: Sequence[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fit_method_is_two_files(add, tiny, tmp_path, capsys):
     add("methods", "random_search", METHOD, "fit", "_target_: frictionzoo.fit.RandomSearch\ntries: 30\n")
     assert listed(capsys, "methods")["random_search"][1] == "fit=random_search"
     bounds = (
@@ -288,9 +280,7 @@ def test_a_fit_method_is_two_files(
     assert len(np.unique(tried)) == 30 and 0.02 < tried.min() < 0.04 and 0.1 < tried.max() < 0.2
 
 
-def test_an_export_target_is_one_file(
-    add: Callable[..., None], finished_run: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_export_target_is_one_file(add, finished_run, tmp_path, capsys):
     from frictionzoo.export.write import write_exports
 
     add("targets", "sheet", TARGET)
@@ -356,9 +346,7 @@ def test_a_law_of_another_package_has_options_from_its_class(package: Path) -> N
         settings_of("model=round_coulomb", "model.params.coulomb_torqe.low=0.1")
 
 
-def test_a_file_of_another_package_has_precedence_over_its_class(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_of_another_package_has_precedence_over_its_class(package, monkeypatch):
     (package / "conf" / "model").mkdir(parents=True)
     text = "_target_: zoo_extras.models.RoundCoulomb\nparams: {coulomb_torque: {init: 7.0}}\n"
     (package / "conf" / "model" / "round_coulomb.yaml").write_text(text)

@@ -1,7 +1,6 @@
 """A law drawn beside what recordings imply: on drives whose friction is known, both lie on it."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -13,13 +12,9 @@ import frictionzoo as fz
 from frictionzoo.core.state import DriveState
 from frictionzoo.result.portrait import NEIGHBOURS, Portrait, Rows, portray
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 TORQUE = 0.5  # N m, about that of the drive
-
-
-@pytest.fixture(autouse=True)
-def in_double() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def truth(velocity: np.ndarray) -> np.ndarray:

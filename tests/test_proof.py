@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -52,9 +51,7 @@ def prove_on(tmp_path: Path, make: Callable, in_haste: None) -> Callable[..., Pr
         ("mujoco_default", "mjx", {"world": '<geom type="plane" size="1 1 .1" pos="0 0 -.2"/>'}),
     ],
 )
-def test_what_is_simulated_as_mujoco_does_is_proven(
-    prove_on: Callable[..., Proof], law: str, engine: str, parts: dict[str, str]
-) -> None:
+def test_what_is_simulated_as_mujoco_does_is_proven(prove_on, law, engine, parts):
     proof = prove_on(law, engine, **parts)
     assert 0 < proof.step <= proof.rollout < 1e-3 * TOLERANCE
 
@@ -77,9 +74,7 @@ def test_what_is_not_is_refused_by_name(prove_on: Callable[..., Proof], parts: d
 
 
 @pytest.mark.parametrize("engine", ["specialised", pytest.param("mjx", marks=pytest.mark.slow)])
-def test_a_balanced_rotor_is_simulated_as_mujoco_does(
-    tmp_path: Path, make: Callable, in_haste: None, engine: str
-) -> None:
+def test_a_balanced_rotor_is_simulated_as_mujoco_does(tmp_path, make, in_haste, engine):
     """Its centre of mass lies on its axis: MuJoCo takes shortcuts with such a body."""
     (tmp_path / "rotor.xml").write_text(
         '<mujoco><option timestep="0.001"/><worldbody><body><joint name="axis" axis="0 0 1"/>'
@@ -127,9 +122,7 @@ def test_what_mjx_lacks_is_one_line(prove_on: Callable[..., Proof]) -> None:
         ("mjx", "_drive_state", None),
     ],
 )
-def test_a_fault_in_an_engine_is_caught(
-    prove_on: Callable[..., Proof], monkeypatch: pytest.MonkeyPatch, engine: str, place: str, fault: Any
-) -> None:
+def test_a_fault_in_an_engine_is_caught(prove_on, monkeypatch, engine, place, fault):
     right = mjx._drive_state
     module = specialised if engine == "specialised" else mjx
     # Of MJX: the law sees a motor torque that is a millionth too large.

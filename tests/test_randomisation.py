@@ -168,9 +168,7 @@ def test_a_drive_without_intervals_or_parameters_is_refused(drive: Identified) -
         draw_variants(replace(bare, result=known), COUNT, 0, {})
 
 
-def test_the_command_takes_ranges(
-    finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_takes_ranges(finished_run, tmp_path, capsys):
     ranges = "ranges={bench.armature: [0.8, 1.2], friction.frictionloss: {low: 0.1, high: 1}, friction.damping: [1, 3]}"
     run = str(finished_run("mujoco_default")[0])
     main([run, "target=randomisation", ranges, "count=5", "files=1", f"output={tmp_path / 'drives'}"])
@@ -185,11 +183,8 @@ def another_law(finished_run: Callable[[str], tuple[Path, Finished]]) -> Identif
 
 
 EVERYTHING = {
-    "bench.armature": [0.9, 1.1],
-    "friction.static_torque": [0.9, 1.2],
-    "friction.kinetic_torque": [0.5, 1.0],
-    "friction.stribeck_velocity": [0.8, 1.2],
-    "friction.viscous_coefficient": [0.7, 1.3],
+    **{"bench.armature": [0.9, 1.1], "friction.static_torque": [0.9, 1.2], "friction.kinetic_torque": [0.5, 1.0]},
+    **{"friction.stribeck_velocity": [0.8, 1.2], "friction.viscous_coefficient": [0.7, 1.3]},
 }
 
 
@@ -415,12 +410,8 @@ class Articulation(SimpleNamespace):
 
 
 WRITTEN = {
-    "armature": "armature",
-    "joint_friction_coeff": "static",
-    "joint_dynamic_friction_coeff": "dynamic",
-    "joint_viscous_friction_coeff": "viscous",
-    "stiffness": "kp",
-    "damping": "kd",
+    **{"armature": "armature", "joint_friction_coeff": "static", "joint_dynamic_friction_coeff": "dynamic"},
+    **{"joint_viscous_friction_coeff": "viscous", "stiffness": "kp", "damping": "kd"},
 }
 RECORDED = load_recorded()
 ISAAC_LABS = {"2": RECORDED["2"]["writers"]["physx"], **RECORDED["3"]["writers"]}

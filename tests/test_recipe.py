@@ -157,13 +157,8 @@ USUAL: dict[str, Any] = {"position": 1.0, "velocity": 0.1, "robust": "none", "ro
 @pytest.mark.parametrize(
     "given",
     [
-        {},
-        {"robust": "huber"},
-        {"velocity": 0.0, "robust": "huber"},
-        {"velocity": 0.0},
-        {"impulse": True, "slow": 0.1},
-        {"continuity": 1.0},
-        {"refine": False},
+        *({}, {"robust": "huber"}, {"velocity": 0.0, "robust": "huber"}, {"velocity": 0.0}),
+        *({"impulse": True, "slow": 0.1}, {"continuity": 1.0}, {"refine": False}),
     ],
     ids=str,
 )
@@ -183,7 +178,7 @@ def test_a_loss_that_is_given_in_part_is_made_whole(given: dict[str, Any]) -> No
 def test_what_a_user_says_stays(recorded: Dataset) -> None:
     bench = remake(knee(), params={"delay": DELAY}, timestep=TIMESTEP)
     how: dict[str, Any] = {"segments": {"length": 30}, "loss": {"velocity": 0.5, "robust": "huber"}, "dtype": "float64"}
-    fit = fz.identify(bench, "coulomb_smooth", list(recorded.train), test=0.2, **how, **QUICK)
+    fit = fz.identify(bench, "coulomb_smooth", list(recorded.train), test=0.2, discretisation=False, **how, **QUICK)
     chosen = {row["option"] for row in fit.result["recipe"]}
     assert chosen.isdisjoint({"segments.length", "loss.velocity", "loss.robust", "dtype", "bench.timestep"})
     assert "bench.params.delay.identify" not in chosen
@@ -205,7 +200,7 @@ def test_long_tails_call_for_a_robust_loss(recorded: Dataset) -> None:
         qpos[at : at + 40] += push
         qvel[at : at + 40] += np.gradient(push[:, 0], TIMESTEP)[:, None]
     pushed = Log(**{**vars(log), "qpos": qpos, "qvel": qvel})
-    fit = fz.identify(knee(), "coulomb_smooth", pushed, test=0.2, **QUICK)
+    fit = fz.identify(knee(), "coulomb_smooth", pushed, test=0.2, discretisation=False, **QUICK)
     chosen = {row["option"]: row for row in fit.result["recipe"]}
     assert chosen["loss.robust"]["value"] == "soft_l1" and "validation error" in chosen["loss.robust"]["reason"]
 

@@ -49,29 +49,16 @@ def sound(name: str) -> type[FrictionModel]:
     return type(name, (FrictionModel,), {"terms": lambda self, xp, values, state: FrictionTerms(torque=state.qvel)})
 
 
-def test_a_duplicate_name_raises():
-    register_model("rusty")(sound("Rusty"))
-    with pytest.raises(ModelError, match=r"^rusty: already registered by Rusty; choose another name$"):
-        register_model("rusty")(sound("Rustier"))
-
-
-def test_registering_the_same_class_again_changes_nothing():
+def test_a_name_is_of_one_class_and_a_class_of_one_name():
     cls = sound("Rusty")
     assert register_model("rusty")(register_model("rusty")(cls)) is cls
-
-
-def test_a_class_that_is_defined_again_replaces_its_older_self():
-    register_model("rusty")(sound("Rusty"))
-    newer = register_model("rusty")(sound("Rusty"))
-    assert get_model("rusty") is newer
-    assert newer in registry.REGISTRY.entries.values()
-
-
-def test_a_second_name_for_a_class_raises():
-    cls = register_model("rusty")(sound("Rusty"))
+    newer = register_model("rusty")(sound("Rusty"))  # defined again, it replaces its older self
+    assert get_model("rusty") is newer and newer in registry.REGISTRY.entries.values()
+    with pytest.raises(ModelError, match=r"^rusty: already registered by Rusty; choose another name$"):
+        register_model("rusty")(sound("Rustier"))
     with pytest.raises(ModelError, match=r"^rustier: Rusty is already registered as rusty"):
-        register_model("rustier")(cls)
-    assert cls.name == "rusty"
+        register_model("rustier")(newer)
+    assert newer.name == "rusty"
 
 
 def test_a_subclass_has_a_name_of_its_own():
@@ -93,11 +80,6 @@ def test_what_is_no_complete_model_raises(thing):
         register_model("rusty")(thing)
 
 
-def test_an_unknown_name_raises_with_the_closest():
-    with pytest.raises(UnknownModelError, match=r"^coulomb_stribek: no such .* did you mean coulomb_stribeck\?"):
-        get_model("coulomb_stribek")
-
-
 def test_a_model_of_another_package_is_found(install):
     install("rustworks", "rusty", "rusty")
     assert "rusty" in model_names()
@@ -112,34 +94,22 @@ def test_the_backport_of_entry_points_is_understood(install):
     assert get_model("rusty").name == "rusty"
 
 
-def test_the_closest_name_may_be_another_packages(install):
-    install("rustworks", "rusty", "rusty")
-    with pytest.raises(UnknownModelError, match=r"did you mean rusty\?"):
-        get_model("rustty")
+RUSTY = ("rustworks", "rusty", "rusty")
 
 
-def test_another_package_cannot_take_a_name(install):
-    install("rustworks", "baseline", "baseline")
-    with pytest.raises(ModelError, match=r"^baseline: already registered by Baseline"):
-        get_model("baseline")
-
-
-def test_two_packages_with_one_name_raise(install):
-    install("rustworks", "rusty", "rusty")
-    install("ironworks", "rusty", "rusty")
-    with pytest.raises(ModelError, match=r"^rusty: entry points .* both bring it; uninstall one"):
-        get_model("rusty")
-
-
-def test_an_entry_point_without_its_model_raises(install):
-    install("rustworks", "rusty", "rustier")
-    with pytest.raises(
-        ModelError, match=r"^rusty: its entry point rustworks.laws:Rusty registers no model of that name"
-    ):
-        get_model("rusty")
-
-
-def test_an_entry_point_that_does_not_load_raises(install):
-    install("rustworks", "rusty", "rusty", attribute="Rustee")
-    with pytest.raises(ModelError, match=r"^rusty: its entry point rustworks.laws:Rustee does not load \(.*Rustee"):
-        get_model("rusty")
+@pytest.mark.parametrize(
+    ("packages", "name", "error", "line"),
+    [
+        ([], "coulomb_stribek", UnknownModelError, "^coulomb_stribek: no such .* did you mean coulomb_stribeck"),
+        ([RUSTY], "rustty", UnknownModelError, r"did you mean rusty\?"),
+        ([("rustworks", "baseline", "baseline")], "baseline", ModelError, "^baseline: already registered by Baseline"),
+        ([RUSTY, ("ironworks", *RUSTY[1:])], "rusty", ModelError, "^rusty: entry points .* both bring it; uninstall"),
+        ([(*RUSTY[:2], "rustier")], "rusty", ModelError, "^rusty: its entry point rustworks.laws:Rusty registers no"),
+        ([(*RUSTY, "Rustee")], "rusty", ModelError, r"^rusty: .* rustworks.laws:Rustee does not load \(.*Rustee"),
+    ],
+)
+def test_what_no_package_brings_or_several_do_is_refused(install, packages, name, error, line):
+    for package in packages:
+        install(*package)
+    with pytest.raises(error, match=line):
+        get_model(name)

@@ -125,9 +125,7 @@ def test_a_repair_of_one_joint_keeps_what_the_others_have(two_joints: Bench) -> 
         Repair("data.clean.spikes", "repair"),
     ]
     assert complete_options(repairs, two_joints, settings) == {
-        "data.sign.ctrl": [1, 1],
-        "data.sign.qpos": [-1, 1],
-        "bench.actuator.params.kp.init": [20.0, 10.0],
+        **{"data.sign.ctrl": [1, 1], "data.sign.qpos": [-1, 1], "bench.actuator.params.kp.init": [20.0, 10.0]},
         "data.clean.spikes": "repair",
     }
 

@@ -172,15 +172,7 @@ def write_mesh(folder):
     """A cube of 0.2 m that hangs by the middle of a face."""
     corners = [f"v {x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.2, 0)]
     faces = [
-        "f 1 2 3",
-        "f 2 4 3",
-        "f 5 7 6",
-        "f 6 7 8",
-        "f 1 5 2",
-        "f 2 5 6",
-        "f 3 4 7",
-        "f 4 8 7",
-        "f 1 3 5",
+        *("f 1 2 3", "f 2 4 3", "f 5 7 6", "f 6 7 8", "f 1 5 2", "f 2 5 6", "f 3 4 7", "f 4 8 7", "f 1 3 5"),
         "f 3 7 5",
     ]
     (folder / "link.obj").write_text("\n".join([*corners, *faces, "f 2 6 4", "f 4 6 8"]))

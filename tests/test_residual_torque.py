@@ -1,11 +1,10 @@
 """What identified values leave of recorded torque: known shares of it, and where there is nothing to compare."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 import torch
@@ -24,14 +23,10 @@ from frictionzoo.models.registry import get_model
 from frictionzoo.result.section_types import Torque
 from frictionzoo.result.torque import choose_filtering, measure_torque
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 WRONG = np.array([0.0, 0.3, 0.0, 0.0, 0.5])
 """What the torques have besides: of the second joint half a wave's height, of the last a constant [N m]."""
-
-
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -100,9 +95,7 @@ class OnlyInTorch(TorchFriction):
         return FrictionTerms(torque=0.1 * torch.tanh(state.qvel))
 
 
-def test_where_there_is_nothing_to_compare_nothing_is_said(
-    stand: Callable[..., Bench], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_where_there_is_nothing_to_compare_nothing_is_said(stand, caplog):
     pd, torques = stand(JointPD({"kp": {"init": 400.0}, "kd": {"init": 40.0}})), stand(Force())
     log = record(torques, 0)
     assert measure(pd, true_law(), [log], [log]) is None

@@ -1,10 +1,9 @@
 """Where an error is: drives whose friction has one term more than the law are told by that term; a right law is not."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from helpers.rod import DRY, VISCOUS, Friction, leave, plain, record
@@ -14,11 +13,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.result.attribution import Candidate, attribute
 from frictionzoo.result.residuals import describe_residual
 
-
-@pytest.fixture(autouse=True)
-def in_double() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("x64")
 
 
 def looked_at(log: Log, model: FrictionModel | None = None, **bench: Any) -> Any:

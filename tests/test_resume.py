@@ -89,13 +89,10 @@ def test_ended_elsewhere_and_resumed_is_as_if_nothing_had_happened(
 
 
 def read_files(folder: Path) -> dict[Path, bytes]:
-    """All files in a folder but its list of files."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST}
 
 
-def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
-    call: Callable, finished_run: Callable, tmp_path: Path, tiny: tuple[str, ...]
-) -> None:
+def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(call, finished_run, tmp_path, tiny):
     expected, _ = finished_run("coulomb_smooth")
     folder = shutil.copytree(expected, tmp_path / "copy")
     before = read_files(folder)
@@ -113,9 +110,8 @@ def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
     with occupy(folder, wait=False):
         refused = call(f"resume={folder}")
     assert refused.status == 2
-    assert (
-        refused.err.startswith(f"frictionzoo: {folder}: another process works in it") and refused.err.count("\n") == 1
-    )
+    assert refused.err.startswith(f"frictionzoo: {folder}: another process works in it")
+    assert refused.err.count("\n") == 1
     assert call(f"resume={folder}").status == 0
     assert_same(folder, expected)
 
@@ -187,9 +183,7 @@ def test_what_ends_a_job_is_one_line_that_says_how_to_go_on(
         (["resume=sweep"], "hydra.sweep.dir=sweep resume=true"),
     ],
 )
-def test_a_resumed_sweep_has_to_be_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], option: str
-) -> None:
+def test_a_resumed_sweep_has_to_be_one(tmp_path, monkeypatch, arguments, option):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep" / "0_baseline" / ".hydra").mkdir(parents=True)
     with pytest.raises(ConfigError, match=option):
@@ -199,10 +193,7 @@ def test_a_resumed_sweep_has_to_be_one(
 
 
 @pytest.fixture
-def pose(
-    call: Callable, pose_problem: Callable[[Any], Problem], compose: Callable, tiny: tuple[str, ...]
-) -> Callable[..., Problem]:
-    """A problem, by its options."""
+def pose(call, pose_problem, compose, tiny):
     plain = OmegaConf.to_container(compose(*tiny, "model=coulomb_smooth"), resolve=True)
 
     def pose(*overrides: str) -> Problem:
@@ -237,9 +228,7 @@ def test_a_run_that_lost_patience_is_resumed_to_the_same_end(pose: Callable, tmp
         (("loop.patience=9", "evaluation.rollouts=2"), set()),
     ],
 )
-def test_what_makes_it_another_run(
-    pose: Callable, finished_run: Callable, overrides: tuple[str, ...], changed: set[str]
-) -> None:
+def test_what_makes_it_another_run(pose, finished_run, overrides, changed):
     folder, _ = finished_run("coulomb_smooth")
     begun = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]["identity"]
     now = _identify("coulomb_smooth", pose("fit.iterations=3", *overrides))
@@ -254,9 +243,7 @@ def test_what_makes_it_another_run(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-def test_automatic_settings_are_found_once(
-    call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_automatic_settings_are_found_once(call, tiny, tmp_path, monkeypatch):
     """A run that ended in its fit goes on with the settings that were found, and ends as one that did not."""
     stated = ("bench.timestep=1e-3", "bench.solreffriction=[0.002,1.0]", "bench.params.position_offset.identify=false")
     options = (*tiny, "model=mujoco_default", "recipe=auto", "fit=lm", *stated)

@@ -125,9 +125,7 @@ def recorded(dog: Callable[..., fz.Robot]) -> Log:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-def test_the_drives_of_legs_are_found_with_values_that_they_share(
-    dog: Callable[..., fz.Robot], recorded: Log, tmp_path: Path
-) -> None:
+def test_the_drives_of_legs_are_found_with_values_that_they_share(dog, recorded, tmp_path):
     robot = dog(tie={"hip": ".*_hip_joint", "calf": ".*_calf_joint"}, timestep=0.002)
     how: dict[str, Any] = {"test": 0.3, "method": "lm", "segments": {"length": 50, "count": None}, "dtype": "float64"}
     how |= {"recipe": "given", "evaluation": {"horizons": [0.2], "trajectory": 0.4}}

@@ -124,9 +124,7 @@ def test_a_dc_motor_without_a_command_is_friction_beside_an_actuator(tmp_path: P
         ('cogging="0.1 6 0"', "cogging"),
     ],
 )
-def test_a_dc_motor_that_is_no_line_is_left_out_and_its_bristles_are_not(
-    more: str, reason: str, tmp_path: Path
-) -> None:
+def test_a_dc_motor_that_is_no_line_is_left_out_and_its_bristles_are_not(more, reason, tmp_path):
     robot = read(tmp_path, body("", f"<actuator>{MOTOR.format('m', 1, f'{BRISTLES} {more}')}</actuator>"))
     assert robot.actuators == (None,) and robot.values["damping"][0] == 0
     assert any(note.startswith("actuator m of joint hinge is left out: its DC motor has") for note in robot.notes)
@@ -246,9 +244,7 @@ def test_includes_and_meshes_lie_beside_the_file(tmp_path: Path) -> None:
 
 
 PUBLISHED = {
-    "go2/go2.xml": 12,
-    "go2/go2_published.xml": 12,
-    "kuka_lwr4/kuka_lwr4.urdf": 7,
+    **{"go2/go2.xml": 12, "go2/go2_published.xml": 12, "kuka_lwr4/kuka_lwr4.urdf": 7},
     "kuka_lwr4/kuka_lwr4_cogimon.urdf": 7,
 }
 

@@ -4,7 +4,6 @@ import contextlib
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import hypothesis
 import hypothesis.strategies as st
@@ -120,9 +119,7 @@ REFUSED = [  # a file, options, and what the message names
 
 
 @pytest.mark.parametrize(("text", "options", "message"), REFUSED)
-def test_what_cannot_be_left_out_is_refused_in_one_line(
-    text: str | None, options: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_left_out_is_refused_in_one_line(text, options, message, tmp_path):
     source = str(tmp_path / "nowhere.xml") if text is None else save(tmp_path, text)
     with pytest.raises((BenchError, ConfigError), match=message) as refused:
         read_robot(source, **options)
@@ -136,9 +133,7 @@ BROKEN = [(text, match.span()) for text in (ARM, LEG, DRIVEN) for match in NUMBE
 
 @hypothesis.given(broken=st.sampled_from(BROKEN), word=st.sampled_from(["nan", "inf", "-inf", "1e400"]))
 @hypothesis.settings(max_examples=60, deadline=None)
-def test_a_number_that_is_none_is_refused(
-    broken: tuple[str, tuple[int, int]], word: str, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_number_that_is_none_is_refused(broken, word, tmp_path_factory):
     """Or does not matter: then all that was read is finite."""
     text, (first, last) = broken
     with contextlib.suppress(BenchError):

@@ -27,7 +27,6 @@ from frictionzoo.core.errors import CheckpointError, ConfigError, FrictionzooErr
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.output import occupy
 from frictionzoo.fit.loop import CHECKPOINT, _checked_checkpoint
-from frictionzoo.identification import Problem
 
 RUN = "hydra.run.dir=run"
 RESULTS = ("result.json", "friction.safetensors", "identified.xml")
@@ -133,14 +132,7 @@ def test_a_job_needs_one_of_each_group(argument: str, names: str) -> None:
         pytest.param("device=cuda", ("device=cuda: JAX finds none, expected a GPU",), marks=NO_GPU),
     ],
 )
-def test_a_problem_that_makes_no_sense_is_refused(
-    call: Callable,
-    pose_problem: Callable[[Any], Problem],
-    settings: dict[str, Any],
-    tmp_path: Path,
-    override: str,
-    fragments: tuple[str, ...],
-) -> None:
+def test_a_problem_that_makes_no_sense_is_refused(call, pose_problem, settings, tmp_path, override, fragments):
     """Where it is posed; `call` has gone to the test's folder."""
     write_log(tmp_path / "a.csv")
     (tmp_path / "garbage").write_bytes(bytes(range(256)))
@@ -165,9 +157,7 @@ def test_a_fit_that_diverges_keeps_the_best_and_says_where(call: Callable, tmp_p
     assert "friction.viscous_coefficient" in finished.out
 
 
-def test_a_fit_that_starts_outside_the_finite_numbers_is_refused(
-    call: Callable, tmp_path: Path, tiny: tuple[str, ...]
-) -> None:
+def test_a_fit_that_starts_outside_the_finite_numbers_is_refused(call, tmp_path, tiny):
     finished = call(*tiny, *UNBOUNDED, "model.params.viscous_coefficient.init=1e299", RUN)
     assert finished.status == 2
     line = error_line(finished.err)
@@ -229,9 +219,7 @@ HARMFUL = identity(frictionzoo=__version__) | {"code": Bomb()}
         pytest.param(pickle.dumps(HARMFUL), "cannot be read", id="with code, pickled"),
     ],
 )
-def test_a_checkpoint_that_is_none_is_refused_and_not_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes | dict, fragment: str
-) -> None:
+def test_a_checkpoint_that_is_none_is_refused_and_not_run(tmp_path, monkeypatch, content, fragment):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "checkpoints" / CHECKPOINT
     path.parent.mkdir()
@@ -271,9 +259,7 @@ def test_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path) -> None:
         (".hydra/mine.txt", ConfigError, False),
     ],
 )
-def test_a_refused_run_leaves_no_folder_and_takes_nothing_along(
-    tmp_path: Path, more: str | None, error: type[BaseException], left: bool
-) -> None:
+def test_a_refused_run_leaves_no_folder_and_takes_nothing_along(tmp_path, more, error, left):
     folder, made = tmp_path / "outputs" / "today" / "run", [tmp_path / "outputs" / "today"]
     record = {folder / ".hydra" / f"{name}.yaml": b"a: 1" for name in ("config", "hydra", "overrides")}
     folder.mkdir(parents=True)

@@ -46,11 +46,8 @@ def bench(path: Path, integrator: str, timestep: float, second_order: bool = Tru
 
 def law() -> fz.FrictionModel:
     values = {
-        "static_torque": STATIC,
-        "kinetic_torque": KINETIC,
-        "stribeck_velocity": STRIBECK,
-        "smoothing_velocity": SMOOTHING,
-        "viscous_coefficient": VISCOUS,
+        **{"static_torque": STATIC, "kinetic_torque": KINETIC, "stribeck_velocity": STRIBECK},
+        **{"smoothing_velocity": SMOOTHING, "viscous_coefficient": VISCOUS},
     }
     return fz.law("coulomb_stribeck", params={n: {"init": value, "high": 2.0} for n, value in values.items()})
 
@@ -105,9 +102,7 @@ def test_errors_fall_with_the_square_of_the_step(integrator: str, tmp_path: Path
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 @pytest.mark.parametrize("timestep", [2e-3, 5e-3])
-def test_a_simulator_gets_the_parameters_with_which_it_moves_as_the_drive(
-    integrator: str, timestep: float, tmp_path: Path
-) -> None:
+def test_a_simulator_gets_the_parameters_with_which_it_moves_as_the_drive(integrator, timestep, tmp_path):
     """In MuJoCo C, which knows nothing of second order: it begins at the measured state and is read as it is."""
     stand, truth, friction = bench(tmp_path, integrator, 1e-3), solve(COMMANDS), law()
     values = values_of(stand, friction)

@@ -33,9 +33,7 @@ def made(name: str) -> FrictionModel:
         ("ripple", "direction", ("residual_network", True)),
     ],
 )
-def test_the_law_that_is_named_has_the_present_terms_and_the_missing_one(
-    present: str, missing: str, expected: tuple[str, bool]
-) -> None:
+def test_the_law_that_is_named_has_the_present_terms_and_the_missing_one(present, missing, expected):
     model = made(present)
     assert suggest_law(model, {*model.sees}, missing) == expected
     named = REGISTRY.get(expected[0])

@@ -27,15 +27,15 @@ def test_a_segment_starts_at_a_state_and_holds_the_commands_between_the_states()
     np.testing.assert_array_equal(segments.qpos[..., 0], [[0, 1, 2, 3, 4, 5], [5, 6, 7, 8, 9, 10]])
     np.testing.assert_array_equal(segments.qvel, -segments.qpos)
     np.testing.assert_array_equal(segments.signals.ctrl[..., 0], 1000 + segments.qpos[:, :-1, 0])
+    several = cut_segments([make_log(11, nv=3, nu=2)], None, 5)
+    assert several.qpos.shape == (2, 6, 3) and several.signals.ctrl.shape == (2, 5, 2)
 
 
 def test_no_segment_crosses_from_one_log_into_the_next():
     segments = cut_segments([make_log(13), make_log(9, "b.csv", base=100.0)], None, 4)
     np.testing.assert_array_equal(segments.qpos[:, 0, 0], [0, 4, 8, 100, 104])
     np.testing.assert_array_equal(np.diff(segments.qpos[..., 0], axis=1), 1)
-
-
-def test_before_a_log_begins_its_own_first_command_counts():
+    # Before a log begins, its own first command counts.
     segments = cut_segments([make_log(9), make_log(9, "b.csv", base=100.0)], None, 4, history=2)
     before = [[1000, 1000], [1002, 1003], [1100, 1100], [1102, 1103]]
     np.testing.assert_array_equal(segments.signals.ctrl[:, :2, 0], before)
@@ -49,12 +49,6 @@ def test_fewer_segments_are_distinct_and_spread_over_the_whole_log(count):
     spacing = np.diff([*starts, 1000])
     assert np.abs(spacing - 1000 / count).max() <= 10  # no gap is more than one segment off the mean
     assert cut_segments([make_log(21)], 500, 5).count == 4
-
-
-def test_several_joints_and_actuators_keep_their_columns():
-    segments = cut_segments([make_log(11, nv=3, nu=2)], None, 5)
-    assert segments.qpos.shape == (2, 6, 3)
-    assert segments.signals.ctrl.shape == (2, 5, 2)
 
 
 def test_a_log_that_is_too_short_is_left_out_and_named_or_refused(caplog):
@@ -81,20 +75,15 @@ def test_logs_that_do_not_belong_together(other, line):
             cut()
     with pytest.raises(LogError, match="no log"):
         cut_segments([], None, 5)
-
-
-def test_jitter_of_a_clock_is_not_another_timestep():
+    # Jitter of a clock is not another timestep.
     jittered = dataclasses.replace(make_log(50, "b.csv"), time=np.arange(50) * 0.010001)
     assert cut_segments([make_log(50), jittered], None, 5).timestep == pytest.approx(0.01, rel=1e-12)
 
 
-def test_consecutive_rollouts_restart_every_horizon():
+def test_rollouts_restart_every_horizon_or_are_distinct_and_follow_the_seed():
     rollouts = cut_rollouts([make_log(41)], 0.1, None, "consecutive", 0)
     np.testing.assert_array_equal(rollouts.qpos[:, 0, 0], [0, 10, 20, 30])
     assert rollouts.length == 10
-
-
-def test_random_rollouts_are_distinct_and_follow_the_seed():
     logs = [make_log(300), make_log(200, "b.csv", base=1000.0)]
     first, again, other = (cut_rollouts(logs, 1.0, 50, "random", seed).qpos[:, 0, 0] for seed in (3, 3, 4))
     np.testing.assert_array_equal(first, again)

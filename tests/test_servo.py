@@ -1,7 +1,7 @@
 """The bench of a real servo: actuator laws with a controller, late commands, offsets, steps within a sample."""
 
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -20,11 +20,7 @@ from frictionzoo.result.evaluate import predict
 from frictionzoo.simulation import friction_of, make_engine
 from frictionzoo.simulation.rollout import applied, make_rollout
 
-
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("x64")
 
 
 def held(command: np.ndarray, start: float, stop: float) -> float:

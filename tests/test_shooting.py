@@ -27,7 +27,6 @@ CONTINUITY = 30.0
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """The arm."""
     path = tmp_path_factory.mktemp("arm") / "arm.xml"
     path.write_text(ARM)
     return Bench(str(path), ["shoulder", "elbow"], actuator=Force(), params={"armature": {"init": 0.15}})

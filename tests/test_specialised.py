@@ -1,6 +1,5 @@
 """The engines against MuJoCo C, which is the oracle, and rollouts against repeated steps."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +21,14 @@ from frictionzoo.simulation.fold import CannotSpecialiseError, specialise
 from frictionzoo.simulation.linear import rows_of
 from frictionzoo.simulation.rollout import make_rollout
 
+pytestmark = pytest.mark.usefixtures("in_haste", "x64")
+
 INTEGRATORS = {
     "Euler": ('integrator="Euler"', ""),
     "Euler, explicit damping": ('integrator="Euler"', '<flag eulerdamp="disable"/>'),
     "implicitfast": ('integrator="implicitfast"', ""),
     "implicitfast, no damper": ('integrator="implicitfast"', '<flag damper="disable"/>'),
 }
-
-
-@pytest.fixture(autouse=True)
-def x64(in_haste: None) -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def make_bench(tmp_path: Path, body: str, integrator: str = "Euler", joints: int = 1, inside: str = "") -> Bench:
@@ -103,9 +98,7 @@ WEIGHTS = np.array([[0.7], [-1.1]])
         *(("slide without", "Euler", True), ("hinge with gravity", "Euler", False)),
     ],
 )
-def test_a_step_and_its_gradient_are_those_of_mujoco_c(
-    tmp_path: Path, body: str, integrator: str, constraint: bool
-) -> None:
+def test_a_step_and_its_gradient_are_those_of_mujoco_c(tmp_path, body, integrator, constraint):
     bench = make_bench(tmp_path, f"<body>{BODIES[body]}</body>", integrator)
     engine = SpecialisedEngine(bench, law(constraint), constraint)
     # One sine, an armature, an actuator and a row of the constraint, however many frames MJX computes.
@@ -188,9 +181,7 @@ TIED = '<tendon><fixed><joint joint="j0" coef="1"/></fixed></tendon>'
         ("", "", TIED, "tendons"),
     ],
 )
-def test_a_bench_with_other_constraints_goes_to_mjx(
-    tmp_path: Path, joint: str, geom: str, inside: str, reason: str
-) -> None:
+def test_a_bench_with_other_constraints_goes_to_mjx(tmp_path, joint, geom, inside, reason):
     body = f"<body>{ROD.format(joint)}{geom}</body><body>{geom}</body>"
     bench = make_bench(tmp_path, body, inside=inside)
     engine = make_engine("auto", bench, law(False), False)
@@ -293,9 +284,7 @@ def test_what_has_no_rule_is_named(function: Any, operation: str) -> None:
         ],
     ),
 )
-def test_a_step_of_mjx_and_its_slope_are_those_of_mujoco_c(
-    tmp_path: Path, body: str, integrator: str, constraint: bool
-) -> None:
+def test_a_step_of_mjx_and_its_slope_are_those_of_mujoco_c(tmp_path, body, integrator, constraint):
     bench = make_bench(tmp_path, f"<body>{BODIES[body]}</body>", integrator)
     step = step_of(MjxEngine(bench, law(constraint), constraint), bench)
     cases = random_cases(100, 1)

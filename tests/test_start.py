@@ -1,8 +1,6 @@
 """Where fits begin: an arm that torque drives, simulated by MuJoCo C, and what inverse dynamics says of it first."""
 
 import logging
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +30,6 @@ def recorded() -> Dataset:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """The arm as its file has it, whose forearm is too light."""
     path = tmp_path_factory.mktemp("arm") / "arm.xml"
     path.write_text(ARM)
     return Bench(str(path), ["shoulder", "elbow"], actuator=Force(), params={"armature": {"init": 0.05}})
@@ -84,9 +81,7 @@ def test_any_fit_may_be_the_start_of_another(begun: Problem, in_haste: None, cap
         np.testing.assert_array_equal(objective.space.starting(low - 1).start, low)
 
 
-def test_a_start_that_cannot_be_is_refused(
-    begun: Problem, bench: Bench, recorded: Dataset, make: Callable[..., Any]
-) -> None:
+def test_a_start_that_cannot_be_is_refused(begun, bench, recorded, make):
     with pytest.raises(ConfigError, match=r"fit\.start"):
         as_start("inverse_dynamics")
     for name in ("known", "grid", "inverse_dynamics"):

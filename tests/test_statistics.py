@@ -32,10 +32,7 @@ def test_a_constant_difference_has_no_spread():
     assert found.verdict == "worse"
     assert compare(errors, errors + 0.1).verdict == "better"
     assert compare(errors, errors).verdict == "noise"
-
-
-def test_a_difference_that_does_not_matter_is_noise_however_sure():
-    errors = RNG.uniform(1, 2, 6)
+    # What does not matter is noise, however sure.
     assert [compare(share * errors, errors).verdict for share in (1.009, 1.011)] == ["noise", "worse"]
     assert [compare(errors, share * errors).verdict for share in (1.009, 1.011)] == ["noise", "better"]
 
@@ -71,9 +68,7 @@ def test_diverging_more_often_decides():
     found = compare(lost, errors)
     assert found.verdict == "worse" and found.mean == pytest.approx(-0.9, rel=1e-12)
     assert compare(errors, lost).verdict == "better"
-
-
-def test_nothing_in_common_has_no_difference():
+    # Nothing in common has no difference.
     found = compare([1.0, np.nan], [np.nan, 1.0])
     assert np.isnan([found.mean, found.low, found.high]).all() and found.verdict == "noise"
 
@@ -109,9 +104,6 @@ def test_autocorrelation_is_that_of_numpy():
     whole = np.correlate(centred, centred, "full")[399:]
     np.testing.assert_allclose(lag, 0.01 * np.arange(51), atol=1e-12)
     np.testing.assert_allclose(found, whole[:51] / whole[0], atol=1e-12)
-
-
-def test_the_size_of_errors_does_not_matter_to_their_autocorrelation():
     residual = RNG.normal(size=(3, 50))
     scale = np.array([1.0, 1e-200, 1e200])[:, None]
     np.testing.assert_allclose(autocorrelation(residual * scale, 0.1, 1.0)[1], autocorrelation(residual, 0.1, 1.0)[1])

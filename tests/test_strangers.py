@@ -80,9 +80,7 @@ def target(*place: str, name: Any = "stranger.Law") -> Change:
         ("!!python/object/apply:os.mkdir [executed]", "settings.json"),
     ],
 )
-def test_a_record_that_chooses_something_else_or_is_none_is_refused(
-    foreign: Path, how: Change | str | None, named: str
-) -> None:
+def test_a_record_that_chooses_something_else_or_is_none_is_refused(foreign, how, named):
     if callable(how):
         change(foreign / SETTINGS, how)
     else:

@@ -12,9 +12,7 @@ import pytest
 from conftest import ROOT
 
 CLOSED = {
-    "from the start": ">&-",
-    "errors too": ">&- 2>&-",
-    "after a line": "| head -c 1 > /dev/null",
+    **{"from the start": ">&-", "errors too": ">&- 2>&-", "after a line": "| head -c 1 > /dev/null"},
     "all": "<&- >&-",
 }
 
@@ -39,9 +37,7 @@ def test_output_that_the_disk_does_not_take_is_a_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_commands_whose_output_is_closed_write_all_their_files(
-    tmp_path: Path, tiny: tuple[str, ...], compilation_cache: Path
-) -> None:
+def test_commands_whose_output_is_closed_write_all_their_files(tmp_path, tiny, compilation_cache):
     options = shlex.join([*tiny, "model=coulomb_smooth", "hydra.run.dir=run"])
     for command, written, allowed, closed in (
         (f"run {options}", "run/result.json", (0, 3), "after a line"),

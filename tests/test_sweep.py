@@ -57,9 +57,7 @@ def read_comparison(folder: Path) -> dict:
     return comparison
 
 
-def test_a_failing_job_does_not_end_the_others(
-    call: Callable, tiny: tuple[str, ...], tmp_path: Path, finished_run: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_job_does_not_end_the_others(call, tiny, tmp_path, finished_run, monkeypatch):
     jobs = ["0_baseline", "1_neural_friction", "2_coulomb_smooth"]
     done = dict(zip(("baseline", "coulomb_smooth"), sorted(finished_run("sweep")[0].glob("?_*")), strict=True))
 
@@ -130,9 +128,7 @@ def fail() -> tuple[Result, None]:
     raise ZeroDivisionError("by zero\nand more")
 
 
-def test_an_unexpected_error_is_recorded_and_its_traceback_logged(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_unexpected_error_is_recorded_and_its_traceback_logged(tmp_path, caplog):
     value = run_in_sweep(fail, tmp_path, "baseline", ["seed=3"])
     assert value == math.inf
     assert "Traceback" in caplog.text and "test_sweep.py" in caplog.text
@@ -158,9 +154,7 @@ def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> N
     assert list_files(tmp_path) == ["failure.json"]
 
 
-def test_a_stopped_sweep_goes_on_with_what_is_missing(
-    call: Callable, tiny: tuple[str, ...], tmp_path: Path, finished_run: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_sweep_goes_on_with_what_is_missing(call, tiny, tmp_path, finished_run, monkeypatch):
     whole = finished_run("sweep")[0]
     shutil.copytree(whole, tmp_path / "sweep", ignore=lambda *_: ["comparison"])
     (tmp_path / "sweep" / "1_coulomb_smooth" / "result.json").unlink()
@@ -317,9 +311,7 @@ def test_threads_are_limited() -> None:
     assert finished.stdout.split() == ["1", "1"]
 
 
-def test_a_limit_of_threads_comes_before_jax_or_is_told_to_be_late(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_limit_of_threads_comes_before_jax_or_is_told_to_be_late(monkeypatch, caplog):
     variables = ("PJRT_NPROC", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     for name in variables:
         monkeypatch.setenv(name, "1")

@@ -31,7 +31,7 @@ from frictionzoo.result.comparison.runs import read_runs
 from frictionzoo.simulation import Values, friction_of, make_engine
 from frictionzoo.simulation.rollout import make_rollout
 
-pytestmark = pytest.mark.usefixtures("in_haste")
+pytestmark = pytest.mark.usefixtures("in_haste", "unrendered")
 
 LAWS = ("temperature_linear", "temperature_arrhenius")
 REFERENCE = 25.0  # degC, by default
@@ -119,10 +119,8 @@ def test_one_column_serves_all_joints_or_there_is_one_a_joint(arm: Bench) -> Non
         seen = log.signals.observed["temperature"]
         np.testing.assert_array_equal(seen, np.broadcast_to(columns, (40, 2)))
         cut = cut_segments([log], None, 10).signals
-        assert (
-            cut.ctrl.shape == (3, 10, 2)
-            and cut.observed["temperature"].tolist() == seen[:30].reshape(3, 10, 2).tolist()
-        )
+        assert cut.ctrl.shape == (3, 10, 2)
+        assert cut.observed["temperature"].tolist() == seen[:30].reshape(3, 10, 2).tolist()
         assert log.between(10, 20, "part").observed["temperature"].tolist() == seen[10:20].tolist()
     assert arm.accept(make_log(arm, None)).observed["temperature"].tolist() == 40 * [[25.0, 25.0]]
     with pytest.raises(BenchError, match=r"a\.csv: temperature has 3 columns, expected 1 for all joints or 2, one a"):
@@ -238,9 +236,7 @@ def test_each_joint_has_its_own_temperature_in_a_step(make: Callable[..., Any], 
 
 
 @pytest.fixture
-def runs(
-    call: Callable[..., Finished], recording: Path, tiny: tuple[str, ...], tmp_path: Path
-) -> Callable[..., tuple[Path, Finished]]:
+def runs(call, recording, tiny, tmp_path):
     """Identifies a drive from the recording of tests with a temperature beside it; its folder, and what it said."""
     table = np.loadtxt(recording, delimiter=",", skiprows=1)
     warm = np.linspace(20, 60, len(table))[:, None]
@@ -262,7 +258,6 @@ def parameters(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_haste")
 def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Finished]], tmp_path: Path) -> None:
     """Both are judged on the same rollouts as other laws, exported, and followed by other laws."""
     warm, said = runs("temperature_linear", "data.columns.temperature=warm")
@@ -278,14 +273,13 @@ def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Fini
         assert without[key]["value"] == pytest.approx(other[key]["value"], rel=0.01)
     read_runs([warm, cold, plain])  # refuses runs that were judged on other rollouts
 
-    for folder in (warm, cold):
+    for folder, targets in ((warm, ["all"]), (cold, ["mjcf", "mujoco", "onnx"])):
         assert Identified.load(folder).samples.temperature is not None
-        written = write_exports(folder, {"target": "all"})
+        written = {one.target: one.export for target in targets for one in write_exports(folder, {"target": target})}
         for target, quantity, promise in (("mujoco", "qpos", 1e-9), ("onnx", "torque", 1e-12)):
-            (export,) = [one.export for one in written if one.target == target]
-            assert export.differences[0].quantity == quantity and export.differences[0].largest < promise
-        (mjcf,) = [one.export for one in written if one.target == "mjcf"]
-        assert "is the frictionloss and damping below, at temperature 25 and at no other" in mjcf.limits[0]
+            (difference, *_) = written[target].differences
+            assert difference.quantity == quantity and difference.largest < promise
+        assert "is the frictionloss and damping below, at temperature 25 and at no other" in written["mjcf"].limits[0]
     drive = load_module(warm / "export" / "mujoco" / "drive.py")
     assert drive.OBSERVED == {"temperature": 25.0} and drive.INPUTS == ()
 

@@ -69,16 +69,9 @@ def test_mirrored_hips_that_share_a_motor_keep_offsets_of_their_own(hips: Path) 
 @pytest.mark.parametrize(
     ("name", "tied"),
     [
-        ("armature", True),
-        ("kp", True),
-        ("damping", True),
-        ("mujoco_default.frictionloss", True),
-        ("offset_torque", True),
-        ("position_offset", False),
-        ("torque_offset", False),
-        ("force_offset", False),
-        ("sine_1", False),
-        ("ripple.cosine_2", False),
+        *(("armature", True), ("kp", True), ("damping", True), ("mujoco_default.frictionloss", True)),
+        *(("offset_torque", True), ("position_offset", False), ("torque_offset", False), ("force_offset", False)),
+        *(("sine_1", False), ("ripple.cosine_2", False)),
     ],
 )
 def test_what_belongs_to_the_assembly_is_tied_by_name_alone(hips: Path, name: str, tied: bool) -> None:

@@ -108,10 +108,8 @@ def test_a_table_in_memory_and_further_topics(tmp_path):
     )
     table = unite(of)
     (log,) = fz.read(table, columns={"temperature": "temperature"})
-    assert (
-        log.samples == 400
-        and "temperature interpolated linearly from 8 samples to the 400 times of qpos" in log.repairs
-    )
+    assert "temperature interpolated linearly from 8 samples to the 400 times of qpos" in log.repairs
+    assert log.samples == 400
     np.testing.assert_allclose(log.extras["temperature"][2:350, 0], 20 + log.time[2:350], atol=1e-9)
 
 

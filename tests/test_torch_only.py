@@ -48,11 +48,8 @@ class NotFiniteAtRest(TorchConstraint):
 
 
 LAWS = {
-    "torch_stribeck": TorchStribeck,
-    "torch_constraint": TorchConstraint,
-    "remembers": Remembers,
-    "normalises": NormalisesTheBatch,
-    "not_finite": NotFiniteAtRest,
+    **{"torch_stribeck": TorchStribeck, "torch_constraint": TorchConstraint, "remembers": Remembers},
+    **{"normalises": NormalisesTheBatch, "not_finite": NotFiniteAtRest},
 }
 
 
@@ -118,12 +115,7 @@ def test_the_loss_is_that_of_any_engine(pair: Callable[..., tuple[Objective, Obj
 
 
 @pytest.mark.usefixtures("x64")
-def test_a_fit_takes_the_same_way_also_after_an_interruption(
-    pair: Callable[..., tuple[Objective, Objective]],
-    make: Callable[..., Any],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_fit_takes_the_same_way_also_after_an_interruption(pair, make, tmp_path, monkeypatch):
     torched, jaxed = pair("specialised")
     fit, law = Adam(5, 0.05, 0.9, "auto"), make("model", f"model._target_={STRIBECK}", nv=1).double()
     whole = run_fit(fit, torched, law, chunk=2, progress=False)
@@ -210,9 +202,7 @@ def test_there_is_no_formula_over_other_namespaces() -> None:
         TorchConstraint().terms(jnp, {}, state)
 
 
-def test_what_needs_more_than_a_gradient_is_refused_in_one_line(
-    make: Callable[..., Any], knee: Bench, segments: Segments
-) -> None:
+def test_what_needs_more_than_a_gradient_is_refused_in_one_line(make, knee, segments):
     law = TorchConstraint()
     objective = pose(knee, law, segments, "specialised", "float32")
     for name in ("lm", "grid"):
@@ -229,7 +219,6 @@ def test_what_needs_more_than_a_gradient_is_refused_in_one_line(
 
 @pytest.fixture
 def whole(call: Callable[..., Finished], tiny: tuple[str, ...], tmp_path: Path) -> Path:
-    """A run."""
     own = ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "dtype=float32")
     finished = call(*tiny, *own, "fit.iterations=3", f"hydra.run.dir={tmp_path / 'whole'}")
     assert finished.status == 0, finished.err

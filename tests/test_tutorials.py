@@ -15,7 +15,7 @@ from helpers.tutorials import DOCS, ENCODER, LEG, SUBSTEPS, code_of, write_robot
 import frictionzoo as fz
 from frictionzoo.models.registry import REGISTRY
 
-pytestmark = pytest.mark.usefixtures("in_haste")
+pytestmark = pytest.mark.usefixtures("in_haste", "unrendered")
 STAND = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><worldbody><body>
 <joint name="shaft" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.3"/>
 </body></worldbody></mujoco>"""
@@ -68,9 +68,7 @@ def assert_found(drive: fz.Identified, truth: dict[str, Any], tolerance: float) 
     ("page", "drive", "truth", "tolerance"),
     [("leg", "leg", LEG, 0.05), ("arm", "arm", TRUTH, 0.05), ("servo", "servo", SERVO, 0.15)],
 )
-def test_a_tutorial_finds_its_drive(
-    follow: Callable, tmp_path: Path, page: str, drive: str, truth: dict[str, Any], tolerance: float
-) -> None:
+def test_a_tutorial_finds_its_drive(follow, tmp_path, page, drive, truth, tolerance):
     """And leaves all that a run leaves, also with several joints."""
     found = follow(f"tutorials/{page}.md")[drive]
     assert_found(found, truth, tolerance)

@@ -48,7 +48,6 @@ def options(**changes):
 
 
 def from_yaml(name, tmp_path) -> Twin:
-    """The twin of `conf/data/NAME.yaml`."""
     return hydra.utils.instantiate(OmegaConf.load(CONF / f"{name}.yaml"), cache_dir=str(tmp_path))
 
 
@@ -128,7 +127,6 @@ def test_a_command_acts_late():
 
 @pytest.fixture(scope="module")
 def whole():
-    """The data set of SHORT."""
     return Twin(**options()).load()
 
 

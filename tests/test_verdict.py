@@ -77,12 +77,7 @@ def test_only_where_nothing_is_found_does_nothing_speak_against_it(good: Result)
         ("parameters.0.identifiable", False, "use it with care", "not identifiable from these data: bench.armature"),
         ("parameters.0.at_bound", True, "use it with care", "bench.armature ended at a bound"),
         ("fit.moving", ["bench.armature"], "use it with care", "still moving at the end of the fit: bench.armature"),
-        (
-            "fit.falling",
-            0.2,
-            "use it with care",
-            "fell by 20 % in the last tenth of the iterations; raise fit.iterations",
-        ),
+        ("fit.falling", 0.2, "use it with care", "fell by 20 % in the last tenth of the iterations; raise"),
         ("fit.stopped", "diverged", "do not use it", "the fit diverged"),
         ("reference.0.at_bound", True, "use it with care", "the change from its error is unreliable"),
         ("indistinct", [["a.b", "c.d"]], "use it with care", "do not distinguish a.b and c.d"),
@@ -99,12 +94,7 @@ def test_only_where_nothing_is_found_does_nothing_speak_against_it(good: Result)
         ("residual", residual(place(torque=0.3)), "do not use it", "60 % of the friction"),
         ("torque", torque(0.3), "use it with care", "recorded torque contradicts the result"),
         ("torque", torque(0.8), "do not use it", "by 80 %"),
-        (
-            "residual",
-            residual(place()),
-            "use it with care",
-            "load on the gear explains 60 % of it (0.1 N m, 20 % of the",
-        ),
+        ("residual", residual(place()), "use it with care", "load on the gear explains 60 % of it (0.1 N m, 20 %"),
         ("residual", residual(), "use it with care", "exceeds noise by 30 % of the friction"),
     ],
 )
@@ -115,9 +105,7 @@ def test_one_finding_is_never_nothing(good: Result, path: str, value: Any, grade
 
 
 @pytest.mark.parametrize(("ended", "is_heavy"), [("low", True), ("high", False), ("one", False)])
-def test_an_armature_at_its_lower_bound_in_every_joint_means_heavy_links(
-    good: Result, ended: str, is_heavy: bool
-) -> None:
+def test_an_armature_at_its_lower_bound_in_every_joint_means_heavy_links(good, ended, is_heavy):
     spoilt = copy.deepcopy(good)
     armature = next(p for p in spoilt.parameters if p.name == "armature")
     rows = [copy.deepcopy(armature.by_joint[0]) for _ in range(3)]

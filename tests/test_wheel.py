@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from conftest import RUNS
 from helpers.pages import ROOT
 
 
@@ -35,7 +36,7 @@ def check_content(wheel: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-def test_a_wheel_does_the_same_job(call: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_wheel_does_the_same_job(finished_run: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
     """The wheel is built as docs/install.md says; the packages that it needs are those of this environment."""
     scripts, elsewhere = tmp_path / "environment" / "bin", tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -52,10 +53,8 @@ def test_a_wheel_does_the_same_job(call: Callable, tiny: tuple[str, ...], tmp_pa
     where = run(scripts / "python", "-c", "import frictionzoo; print(frictionzoo.__file__)", cwd=elsewhere)
     assert Path(where.strip()).is_relative_to(scripts.parent)
 
-    job = (*tiny, "model=baseline", "fit.iterations=3")
-    assert call(*job, "hydra.run.dir=checkout").status == 0
-    run(scripts / "frictionzoo", *job, "hydra.run.dir=run", cwd=elsewhere)
-    folders = (elsewhere / "run", tmp_path / "checkout")
+    run(scripts / "frictionzoo", *RUNS["coulomb_smooth"], *tiny, "hydra.run.dir=run", cwd=elsewhere)
+    folders = (elsewhere / "run", finished_run("coulomb_smooth")[0])
     for name in ("friction.safetensors", "identified.xml"):
         first, second = ((folder / name).read_bytes() for folder in folders)
         assert first == second

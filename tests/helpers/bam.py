@@ -107,7 +107,6 @@ def options(folder: Path, file: Path, *overrides: str) -> list[str]:
 
 @pytest.fixture
 def write_bam_file(tmp_path: Path) -> Callable[[dict[str, Any]], Path]:
-    """Writes a parameter file."""
 
     def write_bam_file(bam: dict[str, Any]) -> Path:
         path = tmp_path / f"{bam.get('model')}.json"

@@ -21,11 +21,7 @@ _INNER = "isaaclab/source/isaaclab/isaaclab"
 _ARTICULATION = "assets/articulation/articulation.py"
 SOURCES = {
     "2": {"": _INNER, "physx": f"{_INNER}/{_ARTICULATION}"},
-    "3": {
-        "": "isaaclab",
-        "physx": f"isaaclab_physx/{_ARTICULATION}",
-        "newton": f"isaaclab_newton/{_ARTICULATION}",
-    },
+    "3": {"": "isaaclab", "physx": f"isaaclab_physx/{_ARTICULATION}", "newton": f"isaaclab_newton/{_ARTICULATION}"},
 }
 
 

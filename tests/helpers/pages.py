@@ -21,12 +21,10 @@ PROGRAMS = "python|frictionzoo|pip|make|pytest|pre-commit|tensorboard|wandb|mlfl
 
 
 def blocks_of(page: Path) -> list[str]:
-    """The commands of each bash block."""
     return [block.strip() for block in re.findall(r"^```bash\n(.*?)^```$", page.read_text(), re.M | re.S)]
 
 
 def inline_of(page: Path) -> list[str]:
-    """What stands in inline code."""
     text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.M | re.S)
     return re.findall(r"(?<!`)`(?!`)([^`]+)`(?!`)", text)
 

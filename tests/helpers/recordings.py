@@ -11,12 +11,8 @@ import numpy as np
 from frictionzoo.data.recording import Recording
 
 SIGNALS = {
-    "qpos": "position",
-    "qvel": "speed",
-    "ctrl": "goal_position",
-    "supply": "input_volts",
-    "enable": "torque_enable",
-    "temperature": "temp",
+    **{"qpos": "position", "qvel": "speed", "ctrl": "goal_position", "supply": "input_volts"},
+    **{"enable": "torque_enable", "temperature": "temp"},
 }
 
 
@@ -49,7 +45,6 @@ def simulate_servo(
 
 
 def read_bam(name: str, log: Mapping[str, Any]) -> Recording:
-    """A log in the BAM format."""
     entries = log["entries"]
     columns = {key: np.array([[float(entry[header])] for entry in entries]) for key, header in SIGNALS.items()}
     fields = {key: value for key, value in log.items() if isinstance(value, str | float | int)}
@@ -65,7 +60,6 @@ def read_sts3215(folder: str, every: int = 1, holding: bytes = b"") -> list[Reco
 
 
 def read_xl330(folder: str) -> list[Recording]:
-    """The 16 XL330 logs."""
     return [
         read_bam(path.name, json.loads(path.read_text())) for path in sorted((Path(folder) / "xl330").glob("*.json"))
     ]

@@ -191,109 +191,43 @@ cloth vert bvh sap narrow full radial trilinear quadratic warning merge error al
 hemisphere cone supersphere supertorus torus plate wedge prism simple similar position velocity voltage current strain
 """,
 )
-VALUES = {  # where the first numbers that fit would be out of place
-    **{"name": ("new", "m", "h", "part"), "class": ("main",), "childclass": ("main",), "user": ("1",), "group": ("2",)},
-    **{
-        "joint": ("j",),
-        "jointinparent": ("j",),
-        "tendon": ("t",),
-        "body": ("arm", "b"),
-        "site": ("s",),
-        "refsite": ("w",),
-    },
-    **{"cranksite": ("w",), "slidersite": ("s",), "geom": ("a",), "camera": ("c",), "actuator": ("u",), "mesh": ("m",)},
-    **{"joint1": ("j",), "joint2": ("k", "j"), "tendon1": ("t",), "tendon2": ("t2",), "target": ("arm",)},
-    **{"body1": ("arm", "world"), "body2": ("world", "fore"), "geom1": ("a",), "geom2": ("ground", "a")},
-    **{"site1": ("s",), "site2": ("w",), "subtree1": ("arm",), "subtree2": ("world",), "flex": ("f",)},
-    **{
-        "objname": ("arm",),
-        "refname": ("w",),
-        "reftype": ("site",),
-        "material": ("y",),
-        "texture": ("x",),
-        "hfield": ("h",),
-    },
-    **{"plugin": ("mujoco.pid",), "instance": ("i",), "key": ("ki", "twist"), "value": ("3",), "sidesite": ("side",)},
-    **{"file": ("cube.obj", "cells.png", "part.xml"), "eulerseq": ("zyx", "XYZ"), "meshdir": ("parts",)},
-    **{
-        "assetdir": ("parts",),
-        "texturedir": ("parts",),
-        "model": ("part",),
-        "frame": ("fr",),
-        "maxhullvert": ("10",),
-        "prefix": ("q",),
-    },
-    **{"gravity": ("0 1 -5",), "timestep": ("0.001", "0.004"), "actuatorgroupdisable": ("0", "2"), "wind": ("1 2 0",)},
-    **{"density": ("100",), "viscosity": (".5",), "iterations": ("1", "50"), "tolerance": ("1e-4", "0")},
-    **{"ls_iterations": ("2",), "noslip_iterations": ("3",), "impratio": ("10",), "settotalmass": ("2",)},
-    **{"boundmass": (".5",), "boundinertia": (".01",), "inertiagrouprange": ("0 1", "1 2"), "ref": ("20",)},
-    **{"damping": (".3", ".3 .2 .1"), "stiffness": ("3", "3 2 1"), "springdamper": (".2 1",), "springref": ("20",)},
-    **{"solref": (".01 1", ".05 .5", "-200 -5"), "solreflimit": (".01 1", "-200 -5"), "solreffriction": (".01 1",)},
-    **{"solimp": (".8 .9 .01 .4 3",), "solimplimit": (".8 .9 .01 .4 3",), "solimpfriction": (".8 .9 .01 .4 3",)},
-    **{"o_solref": (".01 1",), "o_solimp": (".8 .9 .01 .4 3",), "o_friction": (".5 .5 .01 .001 .001",)},
-    **{"o_margin": (".03",), "margin": (".03", ".002"), "gap": (".01",), "pos": ("0 .01 -.03",), "axis": (".1 1 .3",)},
-    **{"range": ("-30 40", "-.1 .2", ".1 .25"), "quat": ("1 .2 .1 0",), "axisangle": ("1 0 0 20",)},
-    **{"xyaxes": ("1 .1 0 0 1 .2",), "zaxis": ("0 .2 1",), "euler": ("10 20 30",), "fromto": ("0 0 0 .1 0 -.2",)},
-    **{
-        "gravcomp": (".5", "1"),
-        "mass": (".4",),
-        "size": (".03", ".03 .04", ".03 .04 .05"),
-        "friction": (".5", ".5 .01 .001"),
-    },
-    **{
-        "condim": ("1", "4", "6"),
-        "gear": ("2", "1 0 0 0 0 0"),
-        "ctrlrange": ("-.1 .1", "0 .1"),
-        "forcerange": ("-.1 .1",),
-    },
-    **{"actuatorfrcrange": ("-.1 .1",), "gainprm": ("2",), "biasprm": ("1 -2 -.3",), "dynprm": (".1",)},
-    **{"springlength": (".1", ".1 .15"), "polycoef": (".1 .5 0 0 0", "0 1 0 0 0"), "anchor": ("0 0 -.1",)},
-    **{"relpose": ("0 0 .1 1 0 0 0",), "fluidcoef": ("1 .5 2 1 1",), "fullinertia": (".002 .002 .001 1e-4 0 0",)},
-    **{
-        "diaginertia": (".003 .002 .002",),
-        "vertex": (f"0 0 0 {CUBE}",),
-        "lengthrange": (".1 .5",),
-        "qpos": (".1", ".1 .2"),
-    },
-    **{"qvel": (".1", ".1 .2"), "data": ("1 2", "force"), "noise": (".1",), "delay": (".004",), "nsample": ("4",)},
-    **{
-        "conaffinity": ("0", "2"),
-        "contype": ("0", "2"),
-        "actdim": ("1",),
-        "objtype": ("body", "xbody", "geom", "site", "camera"),
-        "coef": ("2", "-.5"),
-    },
-    **{
-        "curve": ("l 0 0", "cos(s) sin(s) 0"),
-        "role": ("rgb",),
-        "young": ("1e4",),
-        "poisson": (".2",),
-        "thickness": (".01",),
-        "count": ("3 3 1", "4 1 1"),
-        "memory": ("1M",),
-    },
-    **{
-        "nstack": ("100000",),
-        "njmax": ("100", "1"),
-        "nconmax": ("50", "1"),
-        "cutoff": (".1",),
-        "radius": (".03", ".005"),
-        "face": ("0 2 1 0 1 3 0 3 2 1 2 3", "0 1 2"),
-    },
-}
-NUMBERS = (
-    ".3",
-    "2",
-    ".3 .2",
-    "2 1",
-    ".1 .2 .3",
-    "1 2 1",
-    ".4 .3 .2 .1",
-    "0 1 2 1",
-    ".5 .4 .3 .2 .1",
-    "1 0 0 1 0 0 0",
-    "true",
+
+
+def _list_values(text: str) -> dict[str, tuple[str, ...]]:
+    """Read `NAME: VALUE | VALUE; NAME: ...`."""
+    entries = (entry.split(": ") for entry in " ".join(text.split()).split("; "))
+    return {name: tuple(values.split(" | ")) for name, values in entries}
+
+
+VALUES = {"vertex": (f"0 0 0 {CUBE}",)} | _list_values(  # where the first numbers that fit would be out of place
+    """
+name: new | m | h | part; class: main; childclass: main; user: 1; group: 2; joint: j; jointinparent: j; tendon: t;
+body: arm | b; site: s; refsite: w; cranksite: w; slidersite: s; geom: a; camera: c; actuator: u; mesh: m; joint1: j;
+joint2: k | j; tendon1: t; tendon2: t2; target: arm; body1: arm | world; body2: world | fore; geom1: a;
+geom2: ground | a; site1: s; site2: w; subtree1: arm; subtree2: world; flex: f; objname: arm; refname: w;
+reftype: site; material: y; texture: x; hfield: h; plugin: mujoco.pid; instance: i; key: ki | twist; value: 3;
+sidesite: side; file: cube.obj | cells.png | part.xml; eulerseq: zyx | XYZ; meshdir: parts; assetdir: parts;
+texturedir: parts; model: part; frame: fr; maxhullvert: 10; prefix: q; gravity: 0 1 -5; timestep: 0.001 | 0.004;
+actuatorgroupdisable: 0 | 2; wind: 1 2 0; density: 100; viscosity: .5; iterations: 1 | 50; tolerance: 1e-4 | 0;
+ls_iterations: 2; noslip_iterations: 3; impratio: 10; settotalmass: 2; boundmass: .5; boundinertia: .01;
+inertiagrouprange: 0 1 | 1 2; ref: 20; damping: .3 | .3 .2 .1; stiffness: 3 | 3 2 1; springdamper: .2 1;
+springref: 20; solref: .01 1 | .05 .5 | -200 -5; solreflimit: .01 1 | -200 -5; solreffriction: .01 1;
+solimp: .8 .9 .01 .4 3; solimplimit: .8 .9 .01 .4 3; solimpfriction: .8 .9 .01 .4 3; o_solref: .01 1;
+o_solimp: .8 .9 .01 .4 3; o_friction: .5 .5 .01 .001 .001; o_margin: .03; margin: .03 | .002; gap: .01;
+pos: 0 .01 -.03; axis: .1 1 .3; range: -30 40 | -.1 .2 | .1 .25; quat: 1 .2 .1 0; axisangle: 1 0 0 20;
+xyaxes: 1 .1 0 0 1 .2; zaxis: 0 .2 1; euler: 10 20 30; fromto: 0 0 0 .1 0 -.2; gravcomp: .5 | 1; mass: .4;
+size: .03 | .03 .04 | .03 .04 .05; friction: .5 | .5 .01 .001; condim: 1 | 4 | 6; gear: 2 | 1 0 0 0 0 0;
+ctrlrange: -.1 .1 | 0 .1; forcerange: -.1 .1; actuatorfrcrange: -.1 .1; gainprm: 2; biasprm: 1 -2 -.3; dynprm: .1;
+springlength: .1 | .1 .15; polycoef: .1 .5 0 0 0 | 0 1 0 0 0; anchor: 0 0 -.1; relpose: 0 0 .1 1 0 0 0;
+fluidcoef: 1 .5 2 1 1; fullinertia: .002 .002 .001 1e-4 0 0; diaginertia: .003 .002 .002; lengthrange: .1 .5;
+qpos: .1 | .1 .2; qvel: .1 | .1 .2; data: 1 2 | force; noise: .1; delay: .004; nsample: 4; conaffinity: 0 | 2;
+contype: 0 | 2; actdim: 1; objtype: body | xbody | geom | site | camera; coef: 2 | -.5;
+curve: l 0 0 | cos(s) sin(s) 0; role: rgb; young: 1e4; poisson: .2; thickness: .01; count: 3 3 1 | 4 1 1; memory: 1M;
+nstack: 100000; njmax: 100 | 1; nconmax: 50 | 1; cutoff: .1; radius: .03 | .005;
+face: 0 2 1 0 1 3 0 3 2 1 2 3 | 0 1 2"""
 )
+NUMBERS = (".3", "2", ".3 .2", "2 1", ".1 .2 .3", "1 2 1", ".4 .3 .2 .1", "0 1 2 1", ".5 .4 .3 .2 .1", "1 0 0 1 0 0 0")
+NUMBERS += ("true",)
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "body", "site", "cranksite")
 FRAMES = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 LEAVES_OUT = {  # an attribute, and those that it stands in for
@@ -324,9 +258,7 @@ WITH = {
         "fixed@springlength": 'stiffness="3"',
     },
     **{
-        "geom@mesh": 'type="mesh"',
-        "site@mesh": 'type="mesh"',
-        "geom@hfield": 'type="hfield"',
+        **{"geom@mesh": 'type="mesh"', "site@mesh": 'type="mesh"', "geom@hfield": 'type="hfield"'},
         "mesh@params": 'builtin="sphere"',
     },
     **dict.fromkeys((f"camera@{name}" for name in LENS), 'sensorsize=".1 .1" resolution="4 4" focal=".1 .1"'),
@@ -378,12 +310,7 @@ ELSEWHERE = {  # and what they need in other elements
 }
 
 
-SECTIONS = {
-    "tendon": ("actuator",),
-    "camera": ("sensor",),
-    "mesh": ("body", "default"),
-    "material": ("body", "default"),
-}
+SECTIONS = _list_values("tendon: actuator; camera: sensor; mesh: body | default; material: body | default")
 
 
 @dataclass(frozen=True)

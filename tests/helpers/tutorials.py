@@ -16,7 +16,6 @@ SUBSTEPS = 100  # of 20 us: the recipe finds what longer ones do, and steps of 2
 
 
 def code_of(page: str, language: str) -> list[str]:
-    """The code of a page of docs/."""
     return re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / page).read_text(), re.M | re.S)
 
 

@@ -117,7 +117,6 @@ def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: b
 
 
 def write_bag_1(path: Path, columns: Columns) -> Path:
-    """The same in a bag of ROS 1."""
     return write_ros1(path, ((topic, _to_ros1(message), at) for topic, message, at in _list_messages(columns)))
 
 
@@ -142,7 +141,6 @@ def joint_state(stamp: int, qpos: float, qvel: float, name: str = "knee"):
 
 
 def joint_states(stamp: int, qpos: Mapping[str, float], qvel: Mapping[str, float], effort: Mapping[str, float]):
-    """The state of several joints by name."""
     types = STORE.types
     time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
     numbers = (np.array([*values.values()], dtype=float) for values in (qpos, qvel, effort))
@@ -150,7 +148,6 @@ def joint_states(stamp: int, qpos: Mapping[str, float], qvel: Mapping[str, float
 
 
 def command(value: float):
-    """One command."""
     layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
     return STORE.types[COMMAND](layout=layout, data=np.array([value], dtype=float))
 
@@ -248,33 +245,22 @@ def write_zip(path: Path, columns: Columns) -> Path:
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {
-    "csv": ("log.csv", write_csv),
-    "parquet": ("log.parquet", write_parquet),
-    "npz": ("log.npz", write_npz),
-    "pt": ("log.pt", write_pt),
-    "mat": ("log.mat", write_mat),
-    "bam": ("log.json", write_bam),
-    "zip": ("log.zip", write_zip),
-    "mcap": ("log.mcap", write_mcap),
-    "ros2bag": ("bag", write_sqlite_bag),
-    "ros1bag": ("log.bag", write_bag_1),
-    "lerobot": ("dataset", write_lerobot),
+    **{"csv": ("log.csv", write_csv), "parquet": ("log.parquet", write_parquet), "npz": ("log.npz", write_npz)},
+    **{"pt": ("log.pt", write_pt), "mat": ("log.mat", write_mat), "bam": ("log.json", write_bam)},
+    **{"zip": ("log.zip", write_zip), "mcap": ("log.mcap", write_mcap), "ros2bag": ("bag", write_sqlite_bag)},
+    **{"ros1bag": ("log.bag", write_bag_1), "lerobot": ("dataset", write_lerobot)},
 }
 """For each format the name of a file or folder, and what writes one."""
 
 ROS_COLUMNS = {
-    "time": "/joint_states/time",
-    "qpos": "/joint_states/position[knee]",
-    "qvel": "/joint_states/velocity[knee]",
+    **{"time": "/joint_states/time", "qpos": "/joint_states/position[knee]", "qvel": "/joint_states/velocity[knee]"},
     "ctrl": "/command/data[0]",
 }
 OPTIONS: dict[str, dict[str, str]] = {
     **{name: {} for name in ("csv", "parquet", "npz", "pt", "mat", "bam", "zip")},
     **{name: ROS_COLUMNS for name in ("mcap", "ros1bag", "ros2bag")},
     "lerobot": {
-        "time": "timestamp",
-        "qpos": "observation.state[knee.pos]",
-        "qvel": "observation.state[knee.vel]",
+        **{"time": "timestamp", "qpos": "observation.state[knee.pos]", "qvel": "observation.state[knee.vel]"},
         "ctrl": "action[knee.pos]",
     },
 }
