@@ -13,7 +13,7 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.clean import Cleaning, clean
 from frictionzoo.data.recording import Recording
 from frictionzoo.data.split import Split
-from frictionzoo.identification.lengths import fit_lengths
+from frictionzoo.identification.choices import fit_lengths
 
 LENGTHS = ("horizons", "trajectory", "local", "window")
 

@@ -12,7 +12,7 @@ from frictionzoo.core.errors import FaultError, FitError, RunError, refuse_outsi
 from frictionzoo.core.log import Log
 from frictionzoo.core.output import RUN_FILES, claim, write_json
 from frictionzoo.data.logs import Logs
-from frictionzoo.identification.repeat import repeat_fit
+from frictionzoo.identification.solve import repeat_fit
 from frictionzoo.report.terminal import summarise_drift
 from frictionzoo.result.comparison.drift import Drift, judge_drift
 from frictionzoo.result.fitted_drive import FittedDrive

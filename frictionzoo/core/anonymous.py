@@ -2,12 +2,12 @@
 
 import re
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Any
 from xml.parsers import expat
 
-from frictionzoo.core.records import Record
+from frictionzoo.core.records import map_texts
 
 _PART = r"""[^\s\\/'"\],;:()<>]"""
 _PATH = re.compile(rf"(?<![\w./~\\:<-])(?:~|[A-Za-z]:)?[\\/](?:{_PART}+[\\/])*({_PART}+)")
@@ -21,8 +21,8 @@ _FILES = {
 def list_paths(settings: Any, key: str = "") -> Iterator[str]:
     """Yield the absolute paths among nested options, which the option `key` holds.
 
-    The option decides, since joints, bodies and columns may be called `/leg/knee`. For an unknown option, such as one
-    of another package's data source, a value is a path if such a file exists.
+    The option decides, since joints and columns may be called `/leg/knee`. A value of an unknown option, such as one of
+    another package's data source, is a path if such a file exists.
     """
     if isinstance(settings, Mapping):
         for name, part in settings.items():
@@ -66,23 +66,14 @@ def without_paths(value: Any, paths: Collection[str], names: Collection[str] = (
             patterns[folder] = rf"(?<![\w.~]){re.escape(folder)}(?![\w-])(?:[\\/]{_PART}+)*"
     longest_first = [patterns[path] for path in sorted(patterns, key=len, reverse=True)]
     pattern = re.compile("|".join(longest_first) or "(?!)")
-    return _replace(value, lambda text: pattern.sub(lambda m: m[0] if m[0] in names else _shorten(m[0], below), text))
 
+    def shorten(match: re.Match[str]) -> str:
+        path = Path(match[0])
+        if match[0] in names:
+            return match[0]
+        return str(path.relative_to(below)) if below and path.is_relative_to(below) else last_of(match[0])
 
-def _replace(value: Any, shorten: Callable[[str], str]) -> Any:
-    if isinstance(value, Record):
-        return type(value)(*(_replace(value[name], shorten) for name in value.__struct_fields__))
-    if isinstance(value, Mapping):
-        return {_replace(key, shorten): _replace(part, shorten) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_replace(part, shorten) for part in value]
-    return shorten(value) if isinstance(value, str) and ("/" in value or "\\" in value) else value
-
-
-def _shorten(path: str, below: Path | None) -> str:
-    if below is None or not Path(path).is_relative_to(below):
-        return last_of(path)
-    return str(Path(path).relative_to(below))
+    return map_texts(value, lambda text: pattern.sub(shorten, text) if "/" in text or "\\" in text else text)
 
 
 def _as_path(text: str) -> PurePath:

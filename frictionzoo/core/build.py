@@ -20,7 +20,7 @@ def build(section: Any, base: type = object, /, **more: Any) -> Any:
     """Construct the class in a section's `_target_` with the section's other keys and `more` as arguments.
 
     Nested sections with a `_target_` are built first. The target derives from `base`, and is a registered plug-in or in
-    `_PARTS`. No other module is imported, so a foreign section runs no code.
+    `_PARTS`: a foreign section runs no other code.
 
     Raises:
         ConfigError: There is no section, its target is not such a class, or the class does not take the arguments.

@@ -271,7 +271,6 @@ def _check_value(key: str, value: Any, default: Any) -> None:
 
 
 def _refuse_open(key: str, value: Any, default: Any) -> None:
-    """Refuse `auto` without a recipe."""
     if value == AUTO and key in _list_left_open():
         hint = "" if default is None else f" such as {default}"
         raise ConfigError(f"{key}={AUTO}: recipe=given leaves nothing open, expected a value{hint}; or add recipe=auto")
@@ -279,13 +278,11 @@ def _refuse_open(key: str, value: Any, default: Any) -> None:
 
 @functools.cache
 def _list_left_open() -> frozenset[str]:
-    """Return the options that a recipe can choose."""
     options = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "open" / "auto.yaml"))
     return frozenset(key for key, value in list_options(options) if value == AUTO)
 
 
 def _check_numbers(key: str, value: Any, largest: int) -> None:
-    """Refuse NaN, infinities, and whole numbers that are too large."""
     for number in _numbers(value):
         if isinstance(number, int) and abs(number) > largest:
             raise ConfigError(f"{key}={_text(value)}; expected whole numbers of at most {largest}")
@@ -317,7 +314,7 @@ def _text(value: Any) -> str:
 
 
 def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every value of nested dictionaries with its dotted key, after the prefix; lists are values."""
+    """Yield every value of nested dictionaries with its dotted key; lists are values."""
     for key, value in config.items():
         if isinstance(value, dict):
             yield from list_options(value, f"{prefix}{key}.")

@@ -96,7 +96,6 @@ def _list_brought() -> list[str]:
 
 
 def _read_options(path: Path, name: str) -> dict[str, Any]:
-    """Return the defaults of the constructor's arguments."""
     for _, cls in _lineage(path, name):
         for method in cls.body:
             if isinstance(method, ast.FunctionDef) and method.name == "__init__":

@@ -64,7 +64,7 @@ def read_begun(folder: Path, file: str, *keys: str) -> Any:
 def refuse_links(folder: Path, *, files: bool) -> None:
     """Refuse links that lead out of a folder of runs: writing through them would overwrite other files.
 
-    Links to files count only if `files` is true: files are replaced, not written through.
+    Links to files count only with `files`: files are replaced, not written through.
 
     Raises:
         RunError: There is such a link.
@@ -78,13 +78,13 @@ def refuse_links(folder: Path, *, files: bool) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the object in a JSON file.
+    """Return the object in a JSON file; RunError if the file cannot be read, or holds something else."""
 
-    Raises:
-        RunError: The file cannot be read, or holds something else.
-    """
+    def refuse(constant: str) -> None:
+        raise ValueError(f"{constant}, which is not a JSON number")
+
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
     except (ValueError, RecursionError) as error:
@@ -114,10 +114,6 @@ def parse_record(path: Path, kind: type[R], content: Any) -> R:
     except (msgspec.ValidationError, UnicodeError) as error:  # UnicodeError: half of a surrogate pair
         reason = " ".join(str(error).split())[:200]
         raise RunError(f"{path}: {reason}; expected the file that this version writes") from None
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name}, which is not a JSON number")
 
 
 def _refuse_deep(path: Path, content: Any) -> None:

@@ -27,11 +27,7 @@ def pool_origins(simulated: Iterable[bool | None]) -> Origin | None:
 
 
 class Payload(NamedTuple):
-    """Payload of a drive in one recording, on top of the bench's bodies.
-
-    Mass [kg], centre of mass [m] in the frame of the carrying body, and inertia [kg m^2] about it, for the frame's
-    axes.
-    """
+    """Payload of a drive: mass [kg], centre [m] in the carrying body's frame, inertia [kg m^2] about it."""
 
     mass: float
     position: tuple[float, float, float]

@@ -50,10 +50,8 @@ class FileState(NamedTuple):
 class Manifest:
     """Manifest of one folder for one kind of command, such as `run` or `export`; files of another kind are foreign.
 
-    The folder need not exist.
-
     Raises:
-        OutputError: The folder has a file with the manifest's name that is not a manifest.
+        OutputError: The folder, if it exists, has a file with the manifest's name that is not a manifest.
     """
 
     def __init__(self, root: Path, kind: str) -> None:
@@ -165,8 +163,8 @@ class Manifest:
 
     def adopt(self, folder: str) -> None:
         """List the contents of the files in a subfolder that are now finished."""
-        names = [name for name in self._walk(folder) if name not in self._states and self.owns(name)]
-        paths = {name: self.root / name for name in names if not (self.root / name).is_symlink()}
+        finished = (name for name in self._walk(folder) if name not in self._states and self.owns(name))
+        paths = {name: path for name in finished if not (path := self.root / name).is_symlink()}
         with saying(self.root / folder):
             self.record({name: FileState.of(path.read_bytes()) for name, path in paths.items()})
 
@@ -190,7 +188,8 @@ class Manifest:
 
     def list_files(self) -> set[str]:
         """Return the names of all unchanged files that this kind of command wrote here."""
-        return {name for name in self._states if _is_inside(name) and self.owns(name)}
+        inside = (n for n in self._states if n and not Path(n).is_absolute() and ".." not in Path(n).parts)
+        return {name for name in inside if self.owns(name)}
 
     def _in_the_way(self, name: str) -> Path | None:
         """Return the path that blocks a file of this name: itself, or a parent that is not a folder; else None."""
@@ -281,10 +280,7 @@ class Manifest:
 
 
 def _parse(line: bytes) -> tuple[str, str, FileState | tuple[int, bytes] | str] | None:
-    """Return kind of command, name and content (state, mark, or token of a session without a name) of an entry.
-
-    None for an invalid line, such as one that a killed process left.
-    """
+    """Return kind, name and content (state, mark, or token of a session without a name); None for an invalid line."""
     with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
         entry = json.loads(line)
         kind, name = entry["kind"], "" if "session" in entry else entry["file"]
@@ -311,12 +307,7 @@ def _is_folder(path: Path) -> bool:
     return path.is_dir() and not path.is_symlink()
 
 
-def _is_inside(name: str) -> bool:
-    return bool(name) and not Path(name).is_absolute() and ".." not in Path(name).parts
-
-
 def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
-    """Return the status that changes with a file's content."""
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 

@@ -96,10 +96,7 @@ def scratch(folder: Path) -> Iterator[None]:
 
 
 def find_manifest(path: Path) -> tuple[Manifest | None, str]:
-    """Return the manifest of the innermost claimed folder around a file (None: `scratch`), and the file's name in it.
-
-    Without such a folder, the manifest is of the file's folder.
-    """
+    """Return the manifest of the innermost claimed folder around a file (None: `scratch`), else of its folder."""
     absolute = Path(os.path.abspath(path))
     claims = [(root, claimed) for root, claimed in _CLAIMED.get() if absolute.is_relative_to(root)]
     if not claims:
@@ -112,8 +109,8 @@ def find_manifest(path: Path) -> tuple[Manifest | None, str]:
 def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Collection[str] = ()) -> Iterator[Manifest]:
     """Lock a job's folder, which must exist, for one process; `wait` for another one, or refuse.
 
-    The operating system ends the lock with the process, even if it is killed. Unfinished files of killed processes are
-    removed. `names` and `inside` are as for `claim`.
+    The operating system ends the lock with the process. Unfinished files of killed processes are removed. `names` and
+    `inside` are as for `claim`.
 
     Raises:
         RunError: Another process is in it, and `wait` is false.
@@ -166,10 +163,8 @@ def is_lock(path: Path) -> bool:
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file under a temporary name, rename it, and list it in its manifest; missing folders are made.
 
-    An older file is replaced if this program wrote it and nobody changed it.
-
     Raises:
-        OutputError: A foreign file is in the way, or the folder cannot be written or is full. No new file stays.
+        OutputError: A foreign or changed file is in the way, or the folder cannot be written. No new file stays.
     """
     manifest, name = find_manifest(path)
     if manifest:
@@ -206,8 +201,8 @@ def remove_written(path: Path) -> None:
 def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
     """Yield an empty folder whose files move to `place` only if no error occurs.
 
-    `names` are the files that will be written, as far as known; the last one moves last. Older files there, by the same
-    kind of command and not written again, are removed. All others stay.
+    `names` are the files that will be written, as far as known; the last one moves last. Older files of the same kind
+    of command that are not written again are removed; all others stay.
 
     Raises:
         OutputError: A foreign file is in the way, before or after the work; or the folder cannot be written.

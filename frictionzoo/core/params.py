@@ -339,8 +339,9 @@ def read_params(
     for name in set(dimensions) - set(config) - set(optional):
         raise ConfigError(f"{owner}: no parameter {name}; give its value, or params.{name} with init, low, high")
     params = {name: Param.from_config(name, dimensions[name], config[name]) for name in dimensions if name in config}
-    absent = {*optional} - {*ends}
-    return {n: p for n, p in params.items() if n not in absent or p.is_identified or not _is_zero(p.init)}
+    droppable = {*optional} - {*ends}
+    kept = {n for n, p in params.items() if p.is_identified or p.init is None or _list_numbers(p.init).any()}
+    return {name: param for name, param in params.items() if name in kept or name not in droppable}
 
 
 def refuse_negative(prefix: str, params: Mapping[str, Param]) -> None:
@@ -352,15 +353,12 @@ def refuse_negative(prefix: str, params: Mapping[str, Param]) -> None:
     for name, param in params.items():
         if name.rpartition(".")[2] not in _NOT_NEGATIVE:
             continue
-        for attribute in ("init", *(("low",) if param.is_identified else ())):
-            value: Any = getattr(param, attribute)
-            if value is None:
-                continue
-            numbers = np.array([*value.values()] if isinstance(value, Mapping) else value, np.float64)
+        for option, value in ((name, param.init), (f"{name}.low", param.low if param.is_identified else None)):
+            numbers = _list_numbers(value)
             if (numbers < 0).any():
-                option = name if attribute == "init" else f"{name}.low"
                 raise ConfigError(f"{prefix}{option}={_say(numbers)}; expected 0 or more; correct the sign")
 
 
-def _is_zero(given: Any) -> bool:
-    return given is not None and not any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))
+def _list_numbers(value: PerJoint | None) -> np.ndarray:
+    numbers: Any = [] if value is None else [*value.values()] if isinstance(value, Mapping) else value
+    return np.atleast_1d(np.array(numbers, np.float64))

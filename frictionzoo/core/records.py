@@ -1,5 +1,8 @@
 """Records: typed parts of a JSON file, and the types of their numbers, text and lists."""
 
+import json
+from collections.abc import Callable, Mapping
+from importlib import resources
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -35,6 +38,22 @@ class Record(msgspec.Struct, forbid_unknown_fields=True):
         if key not in self.__struct_fields__:
             raise KeyError(key)
         return getattr(self, key)
+
+
+def map_texts(value: Any, change: Callable[[str], str]) -> Any:
+    """Return the same records, mappings, lists and tuples with every text changed."""
+    if isinstance(value, str):
+        return change(value)
+    if isinstance(value, Record):
+        return type(value)(*(map_texts(value[name], change) for name in value.__struct_fields__))
+    if isinstance(value, Mapping):
+        return {map_texts(key, change): map_texts(part, change) for key, part in value.items()}
+    return type(value)(map_texts(part, change) for part in value) if type(value) in (list, tuple) else value
+
+
+def read_schema(package: str, name: str) -> dict[str, Any]:
+    """Return the JSON schema `NAME.schema.json` of a package, which documents every field of a file."""
+    return json.loads(resources.files(package).joinpath(f"{name}.schema.json").read_text("utf-8"))
 
 
 class Proof(Record):

@@ -20,11 +20,7 @@ B = TypeVar("B")
 
 
 class Plugin(NamedTuple):
-    """Plug-in as read from its file, without importing it.
-
-    `target` is the dotted name of the class, as in `_target_`; `summary` is the first line of its docstring; `path` is
-    its file, None if there is none.
-    """
+    """Plug-in as read from its file, without importing it; `target` is its class, `summary` begins its docstring."""
 
     name: str
     module: str

@@ -177,8 +177,7 @@ def longest_window(logs: Sequence[Log]) -> int:
 def split_by_time(log: Log, test_share: float, gap: float | None) -> tuple[Log, Log]:
     """Split one log into its first block for training and its last, of `test_share`, for testing.
 
-    An unused gap [s] between them keeps the state at the end of one from revealing the other; None for 1 s, but at most
-    a tenth of the log.
+    An unused gap [s] keeps one from revealing the other; None for 1 s, but at most a tenth of the log.
 
     Raises:
         LogError: A part would have fewer than two samples.
@@ -202,7 +201,6 @@ def split_by_time(log: Log, test_share: float, gap: float | None) -> tuple[Log, 
 
 
 def _refuse_mixture(logs: Sequence[Log]) -> float:
-    """Return the timestep [s] of logs that match; LogError if they do not."""
     if not logs:
         raise LogError("no log was given, expected at least one")
     first = logs[0]

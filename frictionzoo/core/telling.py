@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from frictionzoo.core.records import Record
+from frictionzoo.core.records import map_texts
 
 Rows = Sequence[Sequence[str]]
 _COLUMNS = {"qpos": "position", "qvel": "velocity", "ctrl": "command", "torque": "torque"}
@@ -30,13 +30,7 @@ def escape_controls(text: str, keep: str = "") -> str:
 
 def escape_all(value: Any) -> Any:
     """Return the same records, mappings and lists with every text escaped, including line breaks."""
-    if isinstance(value, Record):
-        return type(value)(*(escape_all(value[name]) for name in value.__struct_fields__))
-    if isinstance(value, str):
-        return escape_controls(value)
-    if isinstance(value, Mapping):
-        return {escape_all(key): escape_all(part) for key, part in value.items()}
-    return type(value)(map(escape_all, value)) if type(value) in (list, tuple) else value
+    return map_texts(value, escape_controls)
 
 
 def say(text: str) -> None:
@@ -109,8 +103,10 @@ def say_percent(share: float, digits: int = 2) -> str:
 
 def align(rows: Rows) -> str:
     """Align a table: columns padded to their longest entry, numbers right-aligned, text left-aligned."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    flush = [str.rjust if all(map(_is_number, column[1:])) else str.ljust for column in zip(*rows, strict=True)]
+    columns = list(zip(*rows, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    is_number = re.compile("none|[+.0-9-].*|", re.DOTALL).fullmatch
+    flush = [str.rjust if all(map(is_number, column[1:])) else str.ljust for column in columns]
     lines = ("  ".join(pad(cell, width) for pad, cell, width in zip(flush, row, widths, strict=True)) for row in rows)
     return "\n".join(line.rstrip() for line in lines)
 
@@ -118,12 +114,5 @@ def align(rows: Rows) -> str:
 def list_columns(columns: Mapping[str, Any]) -> Rows:
     """Return a table of the column assigned to each joint, from `columns` of `result.json` or `inspect.json`."""
     signals = sorted(columns["by"], key=[*_COLUMNS, *columns["by"]].index)
-    rows = [("joint <-", *(str(_COLUMNS.get(signal, signal)) for signal in signals))]
-    return [
-        *rows,
-        *((row["joint"], *(row["columns"].get(signal, "none") for signal in signals)) for row in columns["joints"]),
-    ]
-
-
-def _is_number(cell: str) -> bool:
-    return not cell or cell == "none" or cell[0] in "+-.0123456789"
+    rows = [(row["joint"], *(row["columns"].get(signal, "none") for signal in signals)) for row in columns["joints"]]
+    return [("joint <-", *(str(_COLUMNS.get(signal, signal)) for signal in signals)), *rows]

@@ -37,21 +37,21 @@ def write_yaml(value: str | list[str]) -> str:
 def open_template(path: str, filters: Mapping[str, Callable[..., Any]] | None = None, html: bool = False) -> Template:
     """Open a template, by its path in the package, that raises for undefined names; `filters` extend jinja's.
 
-    In a template of a Python file, `NAME.py.jinja`, each value becomes a literal, like autoescaping for HTML (`html`):
-    text cannot become code. Code has the type `Code` or passes through the filter `code`.
+    In a template of a Python file, `NAME.py.jinja`, each value becomes a literal, unless it is `Code` or passes through
+    the filter `code`: text cannot become code.
     """
+
+    def finalize(value: Any) -> str:
+        return str(value) if isinstance(value, Undefined) else write_literal(value)  # str() raises if undefined
+
     environment = Environment(
         loader=PackageLoader("frictionzoo", ""),
         autoescape=html,
         undefined=StrictUndefined,
-        finalize=_finalize if path.endswith(".py.jinja") else None,
+        finalize=finalize if path.endswith(".py.jinja") else None,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
     environment.filters |= {"code": Code, **(filters or {})}
     return environment.get_template(path)
-
-
-def _finalize(value: Any) -> str:
-    return str(value) if isinstance(value, Undefined) else write_literal(value)  # str() raises if undefined

@@ -56,7 +56,6 @@ def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
 
 
 def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write the arrays atomically; a failed write only costs time."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, sha256=np.array(digest(arrays)), **arrays)
     try:

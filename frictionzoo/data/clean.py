@@ -104,20 +104,17 @@ class Cleaning(Described):
                 value = getattr(self, option)
                 raise ConfigError(f"data.clean.{option}={value}: unknown; {closest(str(value), choices)}")
         check_filter("data.clean", CUTOFF if self.cutoff is None else self.cutoff, self.order)
+        wrap = math.tau if self.wrap in (None, AUTO) else self.wrap
         for option, is_valid, expected in (
             ("step", self.step is None or self.step > 0, "a positive time in s, or null"),
             ("gap", self.gap >= 1.5, "at least 1.5 median intervals"),
-            ("wrap", self.wrap in (None, AUTO) or _is_positive(self.wrap), "a positive angle in rad, auto or null"),
+            ("wrap", not isinstance(wrap, str) and wrap > 0, "a positive angle in rad, auto or null"),
             ("shortest", self.shortest >= 0, "a time in s from 0 on"),
             ("velocity_lag", self.velocity_lag == AUTO or _is_time(self.velocity_lag), "a time in s, auto or null"),
             ("command_lag", _is_time(self.command_lag), "a time in s, or null"),
         ):
             if not is_valid:
                 raise ConfigError(f"data.clean.{option}={getattr(self, option)}: expected {expected}")
-
-
-def _is_positive(value: Any) -> bool:
-    return not isinstance(value, str) and value > 0
 
 
 def _is_time(lag: Any) -> bool:
@@ -132,7 +129,11 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
-    whole = _drop_velocity(_unwrap(_drop_repeated(_even_out(recording)), cleaning.wrap), cleaning)
+    even = _even_out(recording)
+    repeated = np.diff(even.time, prepend=-np.inf) == 0
+    if repeated.any():
+        even = even.keep(~repeated).say(f"samples with a repeated time dropped: {repeated.sum()}")
+    whole = _drop_velocity(_unwrap(even, cleaning.wrap), cleaning)
     if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
         return []
     gap = cleaning.gap
@@ -140,9 +141,8 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
     parts = _split_at(whole, find_breaks(whole.time, gap), sentence)
     pieces = [piece for part in parts for piece in _split_at_nan(part, gap)]
     kept = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
-    if len(kept) < len(pieces):
-        count = len(pieces) - len(kept)
-        kept = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {count}") for piece in kept]
+    if short := len(pieces) - len(kept):
+        kept = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {short}") for piece in kept]
     if len(pieces) > 1:
         kept = [replace(piece, name=f"{recording.name}[{number}]") for number, piece in enumerate(kept, 1)]
     return [_finish(piece, cleaning) for piece in kept]
@@ -169,14 +169,9 @@ def _finish(piece: Recording, cleaning: Cleaning) -> Log:
     if piece.time[0] != 0:
         start = piece.time[0]
         piece = replace(piece, time=piece.time - start).say(f"time counted from its first sample, at {start:.6g} s")
+    qpos, qvel, ctrl = (piece.signals[name] for name in ("qpos", "qvel", "ctrl"))
     return Log(
-        piece.name,
-        piece.time,
-        piece.signals["qpos"],
-        piece.signals["qvel"],
-        piece.signals["ctrl"],
-        piece.sha256,
-        piece.simulated,
+        *(piece.name, piece.time, qpos, qvel, ctrl, piece.sha256, piece.simulated),
         extras={extra: piece.signals[extra] for extra in EXTRAS if extra in piece.signals},
         velocity_estimated=len(piece.without_velocity) == piece.signals["qpos"].shape[1],
         without_velocity=piece.without_velocity,
@@ -202,13 +197,6 @@ def _even_out(piece: Recording) -> Recording:
         return piece
     sentence = f"{TIMES_ROUNDED} {step:.4g} s: replaced by uniform times, {slope:.6g} s apart"
     return replace(piece, time=start + slope * samples).say(sentence)
-
-
-def _drop_repeated(piece: Recording) -> Recording:
-    is_new = np.diff(piece.time, prepend=-np.inf) != 0
-    if is_new.all():
-        return piece
-    return piece.keep(is_new).say(f"samples with a repeated time dropped: {(~is_new).sum()}")
 
 
 def _unwrap(piece: Recording, wrap: float | str | None) -> Recording:
@@ -251,8 +239,8 @@ def _drop_velocity(piece: Recording, cleaning: Cleaning) -> Recording:
     signals = {**piece.signals, "qvel": qvel}
     if len(dead) == qvel.shape[1]:
         del signals["qvel"]
-    changed = replace(piece, signals=signals, without_velocity=tuple(dead))
-    return changed.say("; ".join(dead.values())) if dead else piece
+    dropped = replace(piece, signals=signals, without_velocity=tuple(dead))
+    return dropped.say("; ".join(dead.values())) if dead else piece
 
 
 def _split_at(piece: Recording, breaks: Sequence[int] | np.ndarray, sentence: str) -> list[Recording]:
@@ -277,7 +265,6 @@ def _split_at_nan(piece: Recording, gap: float) -> list[Recording]:
 
 
 def _fill_nan(piece: Recording) -> Recording:
-    """Fill short runs of NaN: held signals keep the last value, the others are interpolated."""
     filled, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
         bad = ~np.isfinite(values)
@@ -312,17 +299,14 @@ def _shift(piece: Recording, option: str, signals: Sequence[str], lag: float, me
     kept = (later >= piece.time[0]) & (later <= piece.time[-1])
     if kept.sum() < 2:
         raise LogError(f"{piece.name}: shorter than data.clean.{option}={lag:g} s; set a smaller one")
-    shifted = {
-        signal: _each(sample_signal, piece.signals[signal], piece.time, later[kept], method) for signal in signals
-    }
-    cut = piece.keep(kept)
+    cut, at = piece.keep(kept), later[kept]
+    shifted = {signal: _each(sample_signal, piece.signals[signal], piece.time, at, method) for signal in signals}
     between = "" if method == "held" else f", {method} between samples"
     sentence = f"{', '.join(signals)} shifted {lag:.4g} s earlier{between}"
     return replace(cut, signals={**cut.signals, **shifted}).say(sentence)
 
 
 def _find_lag(piece: Recording) -> float:
-    """Return the lag of the measured velocity, the median over the joints [s]."""
     qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
     estimates = [find_velocity_lag(piece.time, repair_spikes(q), v) for q, v in zip(qpos.T, qvel.T, strict=True)]
     lags = [lag[0] for lag in estimates if lag is not None]

@@ -52,9 +52,15 @@ def to_recording(
         for signal in SIGNALS
         if signal != "time" and signal in headers
     }
-    _refuse_absurd(table.name, "time", headers["time"], clock.time[:, None], LONGEST)
-    for signal, values in signals.items():
-        _refuse_absurd(table.name, signal, headers[signal], values, LARGEST)
+    for signal, values in {"time": clock.time[:, None], **signals}.items():
+        largest = LONGEST if signal == "time" else LARGEST
+        absurd = np.abs(values) > largest  # false for NaN, a missing sample
+        if absurd.any():
+            sample, column = np.argwhere(absurd)[0].tolist()
+            raise LogError(
+                f"{table.name}: {signal} ({headers[signal][column]}) is {values[sample, column]:.6g} in SI units at "
+                f"sample {sample}, expected at most {largest:g}; take the sample out or set data.units.{signal}"
+            )
     notes = tuple(dict.fromkeys((*table.notes, *clock.notes)))
     origins = {signal: Columns(headers[signal], signal in listed) for signal in signals}
     return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes, origins)
@@ -67,19 +73,6 @@ def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
             if header in table.refused and columns.get(signal) is None and signal not in table.columns:
                 without = "" if signal in NEEDED else ", to [] to omit it"
                 raise LogError(f"{table.refused[header]}; or set data.columns.{signal}{without}")
-
-
-def _refuse_absurd(
-    name: str, signal: str, headers: Sequence[str], values: Float[np.ndarray, "time columns"], largest: float
-) -> None:
-    """Raise LogError for a sample above the largest plausible value; NaN is a missing sample."""
-    absurd = np.abs(values) > largest
-    if absurd.any():
-        sample, column = np.argwhere(absurd)[0].tolist()
-        raise LogError(
-            f"{name}: {signal} ({headers[column]}) is {values[sample, column]:.6g} in SI units at sample {sample}, "
-            f"expected at most {largest:g}; take the sample out or set data.units.{signal}"
-        )
 
 
 def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:

@@ -49,12 +49,7 @@ DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 0.2 * STEP])  # step
 
 
 class Delay(NamedTuple):
-    """Delay from a command to its effect: median `seconds` and quartiles `low`, `high` over recordings or groups [s].
-
-    Attributes:
-        estimates: Number of recordings or groups with an estimate.
-        command: Detected type of the command, `position` or `torque`.
-    """
+    """Delay from a command (`position` or `torque`) to its effect: median and quartiles over its estimates [s]."""
 
     seconds: float
     low: float
@@ -64,13 +59,10 @@ class Delay(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Stretches of recordings on one uniform grid.
+    """Stretches of recordings on one uniform grid, each with its group.
 
-    Attributes:
-        qpos: Measured position [rad or m].
-        qvel: Estimated velocity at the start [rad/s or m/s].
-        ctrl: Command, from `BEFORE` seconds before the start on.
-        group: Group of each window.
+    Measured position [rad or m], estimated velocity at the start [rad/s or m/s], and command from `BEFORE` seconds
+    before the start on.
     """
 
     qpos: Float[np.ndarray, "windows time"]
@@ -142,7 +134,6 @@ def _regress(recording: Recording, joint: int) -> float:
 
 
 def _unexplained(acceleration: Signal, command: Signal, others: Float[np.ndarray, "time terms"]) -> float:
-    """Return the share of the acceleration's variance in the residual of a regression."""
     terms = np.column_stack([command, others])
     factors = np.linalg.lstsq(terms, acceleration, rcond=None)[0]
     return float(np.mean((acceleration - terms @ factors) ** 2) / max(acceleration.var(), 1e-300))
@@ -173,11 +164,9 @@ Cut = tuple[Signal, float, Float[np.ndarray, "longer"]]
 
 
 def _cut_farthest(recordings: Sequence[Recording], joint: int, length: int) -> list[Cut]:
-    """Return position, initial velocity and command of the windows with the longest travel."""
     windows = [window for recording in recordings for window in _cut(recording, joint, length)]
     travelled = [float(np.abs(np.diff(qpos)).sum()) for qpos, _, _ in windows]
-    order = np.argsort(travelled)[::-1][:WINDOWS]
-    return [windows[i] for i in order if travelled[i] > 0]
+    return [windows[i] for i in np.argsort(travelled)[::-1][:WINDOWS] if travelled[i] > 0]
 
 
 def _cut(recording: Recording, joint: int, length: int) -> list[Cut]:

@@ -89,18 +89,15 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
         return families | ({"ctrl": _prefer_named(commands, names)} if commands else {})
     usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
     usable["torque"] = _keep_usable(table, "torque", _pick_torque(efforts))
-    return {**families, "ctrl": _prefer_moving(table, families["ctrl"]), **usable}
+    # The drive does not follow a constant command.
+    commands = families["ctrl"].items()
+    moving = {key: headers for key, headers in commands if any(_moves(table.columns[header]) for header in headers)}
+    return {**families, "ctrl": moving or families["ctrl"], **usable}
 
 
 def _prefer_named(found: Families, names: Mapping[str, Named]) -> Families:
     """Return the families with joint names, or all if none has: those without belong to other joints."""
     return {key: headers for key, headers in found.items() if headers[0] in names} or found
-
-
-def _prefer_moving(table: Table, found: Families) -> Families:
-    """Return the commands that change, or all if none does: the drive does not follow a constant one."""
-    moving = {key: headers for key, headers in found.items() if any(_moves(table.columns[h]) for h in headers)}
-    return moving or found
 
 
 def _moves(values: np.ndarray) -> bool:

@@ -79,10 +79,10 @@ class Files(Source):
         self.registers, self.sign = read_registers(registers), _signs(sign)
         for signal, unit in self.units.items():
             ratio(signal, unit)  # refuses an unknown unit, even of a signal that no file has
-        fields, where, exclude = (
-            _mapping(option, value) for option, value in (("fields", fields), ("where", where), ("exclude", exclude))
+        by_field = {"fields": fields, "where": where, "exclude": exclude}
+        self.selection = Selection(
+            **{n: _mapping(n, given) for n, given in by_field.items()}, from_name=fields_from_name
         )
-        self.selection = Selection(fields, fields_from_name, where, exclude)
         self.inputs = _mapping("inputs", inputs)
         self.clean, self.payload, self.simulated = clean, payload, ORIGINS[origin]
         self.joints: tuple[str, ...] = ()
@@ -165,7 +165,6 @@ class Files(Source):
         return list({table.name: table for table in tables}.values())
 
     def _read(self, paths: Mapping[str, str]) -> list[Table]:
-        """Read the tables of one file, or the table that several files make."""
         tables = {key: read_tables(path, self.format) for key, path in paths.items()}
         if "" in tables:
             return tables[""]
@@ -174,26 +173,20 @@ class Files(Source):
                 raise LogError(f"{paths[key]}: {len(found)} recordings, expected one with the key {key}; unpack it")
         return [join({key: found[0] for key, found in tables.items()}, self.columns.get("time", ()))]
 
-    def _separate(self, table: Table) -> Table:
-        if not any(map(is_sparse, table.columns.values())):
-            return table
-        return separate(
-            table, {**propose(table, self.joints, self.columns, passive=self.passive).columns, **self.columns}
-        )
-
     def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
         """Convert tables to recordings; infer missing options once for all tables with the same headers."""
-        tables = [self._name_motors(self._separate(table)) for table in tables]
         inferred: dict[frozenset[str], _Inferred] = {}
+        recordings = []
         for table in tables:
+            if any(map(is_sparse, table.columns.values())):
+                columns = propose(table, self.joints, self.columns, passive=self.passive).columns
+                table = separate(table, {**columns, **self.columns})
+            table = self._name_motors(table)
             headers = frozenset(table.columns)
             if headers not in inferred:
                 inferred[headers] = self._complete(table)
-        recordings = [self._convert(table, *inferred[frozenset(table.columns)]) for table in tables]
-        turned = [
-            replace(recording, signals={signal: self._turn(recording, signal) for signal in recording.signals})
-            for recording in recordings
-        ]
+            recordings.append(self._convert(table, *inferred[headers]))
+        turned = [replace(each, signals={name: self._turn(each, name) for name in each.signals}) for each in recordings]
         return self._arrange(turned) if self.joints else turned
 
     def _convert(
@@ -269,11 +262,9 @@ class Files(Source):
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
         logs = []
         for log in clean(recording, self.clean):
-            constants = {
-                name: np.full((log.samples, 1), _constant(recording, name, value))
-                for name, value in self.inputs.items()
-            }
-            logs.append(replace(log, payload=payload, extras={**log.extras, **constants}))
+            constants = {name: _constant(recording, name, value) for name, value in self.inputs.items()}
+            inputs = {name: np.full((log.samples, 1), value) for name, value in constants.items()}
+            logs.append(replace(log, payload=payload, extras={**log.extras, **inputs}))
         return logs
 
     def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
@@ -307,26 +298,15 @@ def _constant(recording: Recording, name: str, given: str | float) -> float:
 
 
 def _entries(option: str, given: Any) -> list[Entry]:
-    """Return the entries of `train` or `test`; ConfigError if one is neither a path nor files by key."""
     entries = [] if given in (None, "") else [given] if isinstance(given, str | Mapping) else given
     if not isinstance(entries, Sequence):
         raise ConfigError(f"data.{option}={given}: expected a list of paths, as in [a.csv, b.csv]")
-    return [_entry(option, entry) for entry in entries]
-
-
-def _is_text(given: Any) -> bool:
-    return isinstance(given, str) and given != ""
-
-
-def _entry(option: str, given: Any) -> Entry:
-    if _is_text(given):
-        return given
-    if isinstance(given, Mapping) and len(given) > 1 and all(map(_is_text, (*given, *given.values()))):
-        return dict(given)
-    raise ConfigError(
-        f"data.{option}: {given!r}, expected a path, or several files of one recording, as in {{state: a.csv, command: "
-        "b.csv}"
-    )
+    for entry in entries:
+        texts = (*entry, *entry.values()) if isinstance(entry, Mapping) and len(entry) > 1 else (entry,)
+        if not all(isinstance(text, str) and text for text in texts):
+            expected = "a path, or several files of one recording, as in {state: a.csv, command: b.csv}"
+            raise ConfigError(f"data.{option}: {entry!r}, expected {expected}")
+    return [entry if isinstance(entry, str) else dict(entry) for entry in entries]
 
 
 def _mapping(option: str, given: Any) -> dict[str, Any]:

@@ -95,12 +95,10 @@ class Logs:
             LogError: A part has no recording.
             ConfigError: The split is impossible.
         """
-        if self.held_out:
-            parts = self.cleaned[: -self.held_out], self.cleaned[-self.held_out :]
-            train, test = ([log for pieces in part for log in pieces] for part in parts)
-        else:
-            train, test = self.split.divide(self.recordings, self.cleaned)
-        return Dataset(self.name, tuple(train), tuple(test))
+        if not self.held_out:
+            return Dataset(self.name, *map(tuple, self.split.divide(self.recordings, self.cleaned)))
+        parts = self.cleaned[: -self.held_out], self.cleaned[-self.held_out :]
+        return Dataset(self.name, *(tuple(log for pieces in part for log in pieces) for part in parts))
 
 
 def _describe(log: Log) -> str:

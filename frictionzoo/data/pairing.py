@@ -23,12 +23,7 @@ By = Literal["name", "listed", "place"]
 
 
 class Named(NamedTuple):
-    """Header that names a joint.
-
-    Attributes:
-        words: Words of the header without the joint's name.
-        stem: Header with `*` in place of the joint's name; equal for all headers of one signal.
-    """
+    """Header that names a joint: its other words, and its stem with `*` for the joint's name, equal for one signal."""
 
     joint: int
     words: tuple[str, ...]
@@ -36,12 +31,7 @@ class Named(NamedTuple):
 
 
 class Pairing(NamedTuple):
-    """Columns of one signal in the order of the joints.
-
-    Attributes:
-        order: Index of each joint's header; -1 for a passive joint without this signal.
-        by: Matched by `name` of the joints; or unnamed, in the user's order (`listed`) or the file's order (`place`).
-    """
+    """Columns of one signal in the joints' order, -1 for a passive joint without it, and how they were matched."""
 
     order: tuple[int, ...]
     by: By
@@ -129,12 +119,11 @@ def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dic
 def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> list[str]:
     """Return sentences on signals that `arrange` orders the first time, unless headers simply name the joints."""
     new = {signal: pairing for signal, pairing in found.items() if not columns[signal].by and len(pairing.order) > 1}
+    moved = [signal for signal, found in new.items() if columns[signal].listed and _moves(columns[signal], found)]
     signals = {
         "have no joints' names; taken by position in the joints' order": [s for s, p in new.items() if p.by == "place"],
         "do not name the joints; taken in the order of data.columns": [s for s, p in new.items() if p.by == "listed"],
-        "name the joints; taken by name, not in the order of data.columns": [
-            s for s, p in new.items() if columns[s].listed and _moves(columns[s], p)
-        ],
+        "name the joints; taken by name, not in the order of data.columns": moved,
     }
     return [f"columns of {', '.join(named)} {what}" for what, named in signals.items() if named]
 
@@ -160,9 +149,8 @@ def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequ
     """
     names: dict[tuple[tuple[str, Columns], ...], list[str]] = {}
     for item in carriers:
-        if item.columns and all(
-            origin.by and len(origin.headers) in (1, len(joints)) for origin in item.columns.values()
-        ):
+        origins = item.columns.values()
+        if origins and all(origin.by and len(origin.headers) in (1, len(joints)) for origin in origins):
             names.setdefault(tuple(item.columns.items()), []).append(item.name)
     return [
         {
@@ -210,7 +198,11 @@ def pair(headers: Sequence[str], joints: Sequence[str], optional: Collection[str
     if max(counts.values()) == 1 and all(joint in optional for joint in lacking):
         places = {joint: place for place, joint in named.items()}
         return Pairing(tuple(places.get(joint, -1) for joint in range(len(joints))), "name")
-    raise LogError(_say_unpaired(headers, joints, named))
+    found = [[headers[place] for place, joint in named.items() if joint == number] for number in range(len(joints))]
+    pairs = [f"{joint} <- {_list(columns) or 'none'}" for joint, columns in zip(joints, found, strict=True)]
+    raise LogError(
+        f"has columns for {len(counts)} of {len(joints)} joints, {_list(pairs)}; expected one column for each joint"
+    )
 
 
 def _pair_numbers(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
@@ -322,13 +314,6 @@ def _count_shared(names: Sequence[Sequence[str]]) -> int:
 
 def _join(parts: Sequence[str]) -> str:
     return "".join(f"<{part}>" if part.isdecimal() else part for part in parts)
-
-
-def _say_unpaired(headers: Sequence[str], joints: Sequence[str], named: Mapping[int, int]) -> str:
-    found = [[headers[place] for place, joint in named.items() if joint == number] for number in range(len(joints))]
-    pairs = [f"{joint} <- {_list(columns) or 'none'}" for joint, columns in zip(joints, found, strict=True)]
-    count = sum(map(bool, found))
-    return f"has columns for {count} of {len(joints)} joints, {_list(pairs)}; expected one column for each joint"
 
 
 def _list(names: Sequence[str]) -> str:

@@ -85,13 +85,13 @@ def find_preset(kind: str) -> Mapping[str, str] | None:
 def name_motors(table: Table, joints: Sequence[str]) -> tuple[Table, str]:
     """Replace numbers of motors in headers by the names of joints, if one robot of the maker has all these joints.
 
-    Returns:
-        The table, and a sentence for the log; empty if nothing was replaced.
+    Return the table, and a sentence for the log; empty if nothing was replaced.
     """
     packages = sorted({*table.motors.values()})
     if not joints or len(packages) != 1:
         return table, ""
-    last = max((_motor(header) for header in table.motors if _turns(table.columns[header])), default=0)
+    # A missing motor is at exactly 0.
+    last = max((_motor(header) for header in table.motors if np.any(table.columns[header])), default=0)
     found: dict[tuple[int, ...], tuple[str, tuple[str, ...]]] = {}
     for robot, order in MOTORS[packages[0]].items():
         names = [find_name(name, tuple(joints)) for name in order]
@@ -120,8 +120,3 @@ _NUMBER = re.compile(r"\[(\d+)\]")
 def _motor(header: str) -> int:
     match = _NUMBER.search(header)
     return int(match.group(1)) if match else 0
-
-
-def _turns(position: np.ndarray) -> bool:
-    """Return whether a motor is there: a missing one is at exactly 0."""
-    return bool(np.any(position))

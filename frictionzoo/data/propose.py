@@ -39,11 +39,9 @@ OF_REGISTERS = frozenset(("present", "goal"))
 
 @dataclass(frozen=True)
 class Proposal:
-    """Proposed columns and units of a table.
+    """Proposed columns of a table, and units of signals outside SI.
 
     Attributes:
-        columns: Headers of each recognised signal.
-        units: Unit of each signal outside SI.
         certain: Whether all names are unambiguous and all signals seem to be in SI units.
         registers: Name of the series in `SERIES` whose raw registers the signals are; None: no registers.
     """
@@ -115,16 +113,11 @@ def _find_units(table: Table, columns: Columns) -> Units:
         unit = _unit_of(signal, headers[0])
         if unit is not None and not table.units.get(headers[0]):
             units[signal] = unit
-    units |= _guess_time(table, columns, units)
-    units |= _guess_makers_turns(table, columns, units)
-    units |= _guess_wrap(table, columns, units)
-    units |= _guess_rate(table, columns, units)
-    units |= _guess_degrees(table, columns, units)
-    if "ctrl" in columns and find_kind("ctrl", columns["ctrl"][0]) == "velocity":
-        units |= _guess_followed("qvel", "ctrl", ("rad/s", "deg/s"), table, columns, units)
-    else:
-        units |= _guess_followed("qpos", "ctrl", ("rad", "deg"), table, columns, units)
-    units |= _guess_followed("qvel", "ctrl_velocity", ("rad/s", "deg/s"), table, columns, units)
+    for guess in (_guess_time, _guess_makers_turns, _guess_wrap, _guess_rate, _guess_degrees):
+        units |= guess(table, columns, units)
+    is_velocity = "ctrl" in columns and find_kind("ctrl", columns["ctrl"][0]) == "velocity"
+    for signal, command in (("qvel" if is_velocity else "qpos", "ctrl"), ("qvel", "ctrl_velocity")):
+        units |= _guess_followed(signal, command, table, columns, units)
     return {signal: unit for signal, unit in units.items() if _si(signal, unit) != 1}
 
 
@@ -158,7 +151,6 @@ def _guess_time(table: Table, columns: Columns, units: Units) -> Units:
 
 
 def _guess_makers_turns(table: Table, columns: Columns, units: Units) -> Units:
-    """Guess turns from the headers of drives that log turns."""
     words = [list_words(split(header)) for header in table.columns]
     ends = {"_".join(each[-count:]) for each in words for count in (1, 2)}
     signals = {"qpos": "rev", "qvel": "rev/s", "ctrl_velocity": "rev/s"}
@@ -175,7 +167,6 @@ def _guess_makers_turns(table: Table, columns: Columns, units: Units) -> Units:
 
 
 def _guess_wrap(table: Table, columns: Columns, units: Units) -> Units:
-    """Guess the unit of an angle that jumps by whole turns."""
     if _is_stated("qpos", table, columns, units):
         return {}
     wrap = find_wrap(table.columns[columns["qpos"][0]].astype(float))
@@ -239,15 +230,12 @@ def _guess_rate(table: Table, columns: Columns, units: Units) -> Units:
         (abs(math.log(scale / (_si("qvel", velocity_unit) / _si("qpos", position_unit)))), position_unit, velocity_unit)
         for position_unit in ([units["qpos"]] if "qpos" in units else ["rad", "deg", "rev", "mm"])
         for velocity_unit in ([units["qvel"]] if "qvel" in units else ["rad/s", "deg/s", "rpm", "rev/s", "mm/s"])
-        if _is_length(position_unit) == _is_length(velocity_unit) or {position_unit, velocity_unit} & {"rad", "rad/s"}
+        if (position_unit in LENGTHS) == (velocity_unit.split("/")[0] in LENGTHS)
+        or {position_unit, velocity_unit} & {"rad", "rad/s"}
     )
     alike = abs(math.log(scale)) < NEAR and not units.keys() & {"qpos", "qvel"}
     found = {"qpos": position_unit, "qvel": velocity_unit}
     return {} if distance > NEAR or alike else {s: u for s, u in found.items() if s not in units and _si(s, u) != 1}
-
-
-def _is_length(unit: str) -> bool:
-    return unit.split("/")[0] in LENGTHS
 
 
 def _guess_degrees(table: Table, columns: Columns, units: Units) -> Units:
@@ -263,15 +251,14 @@ def _guess_degrees(table: Table, columns: Columns, units: Units) -> Units:
     return {"qpos": "deg"} | ({"qvel": "deg/s"} if "qvel" in columns and "qvel" not in units else {})
 
 
-def _guess_followed(
-    signal: str, command: str, possible: tuple[str, ...], table: Table, columns: Columns, units: Units
-) -> Units:
+def _guess_followed(signal: str, command: str, table: Table, columns: Columns, units: Units) -> Units:
     """Guess the unit of a command from the ratio of the signal that follows it."""
     signals = _values(table, columns, (signal, command))
     if signals is None or _is_stated(command, table, columns, units):
         return {}
+    possible = ["rad", "deg"] if signal == "qpos" else ["rad/s", "deg/s"]
     measured_unit = units.get(signal) or table.units.get(columns[signal][0], possible[0])
-    possible = (*possible, measured_unit)
+    possible += [measured_unit]
     scale = _ratio(*signals, of_same=True)
     if scale is None:
         return {}

@@ -68,8 +68,7 @@ class Recording:
         fields: Values for the whole recording.
         sha256: Hash of the bytes that were read.
         simulated: Whether a simulator made it; None: not stated.
-        notes: Assumptions and changes so far, a sentence each: of the reading, of bringing the signals to common times,
-            and of cleaning.
+        notes: Assumptions of the reading, and changes so far, a sentence each.
         columns: Origin of the columns by signal.
         units: Stated unit of signals by name, before conversion to SI; others are missing.
         without_velocity: Numbers of the joints whose qvel is estimated from qpos.
@@ -105,9 +104,8 @@ def refuse_incomplete(recording: Recording) -> None:
     name, samples = recording.name, len(recording.time)
     for signal in ("qpos", "ctrl"):
         if signal not in recording.signals:
-            raise LogError(
-                f"{name}: no {signal}, expected time, qpos and ctrl; name its column in data.columns.{signal}"
-            )
+            advice = f"name its column in data.columns.{signal}"
+            raise LogError(f"{name}: no {signal}, expected time, qpos and ctrl; {advice}")
     for signal, values in recording.signals.items():
         if values.ndim != 2 or len(values) != samples:
             raise LogError(f"{name}: {signal} has shape {values.shape}, expected ({samples}, columns) like time")

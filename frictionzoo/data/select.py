@@ -1,5 +1,6 @@
 """Selection of recordings and payloads by fields: values of a whole recording, such as gains or trajectory."""
 
+import contextlib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -52,30 +53,34 @@ class Selection:
         for option, asked in (("where", self.where), ("exclude", self.exclude)):
             for name, values in asked.items():
                 refuse_absent(tables, name, values, f"data.{option}", f"data.{option}.{name}")
-        kept = [table for table in tables if self._is_kept(table.fields)]
+
+        def is_kept(fields: Mapping[str, Any]) -> bool:
+            wanted = all(is_among(fields.get(name), values) for name, values in self.where.items())
+            return wanted and not any(is_among(fields.get(name), values) for name, values in self.exclude.items())
+
+        kept = [table for table in tables if is_kept(table.fields)]
         if not kept:
             raise LogError(f"data.where and data.exclude leave none of {len(tables)} recordings; relax them")
         return kept
 
     def _all_fields(self, table: Table) -> dict[str, Any]:
-        named = {}
+        named: dict[str, Any] = {}
         if self.from_name is not None:
             match = _compile(self.from_name).search(table.name)
             if match is None:
                 raise LogError(
                     f"{table.name}: data.fields_from_name={self.from_name} does not match; correct the pattern"
                 )
-            named = {name: _number_or_text(text) for name, text in match.groupdict().items() if text is not None}
+            for name, text in match.groupdict().items():
+                if text is not None:
+                    named[name] = text
+                    with contextlib.suppress(ValueError):
+                        named[name] = float(text)
         added = {name: value if isinstance(value, str) else float(value) for name, value in self.fields.items()}
         return {**table.fields, **named, **added}
 
-    def _is_kept(self, fields: Mapping[str, Any]) -> bool:
-        wanted = all(is_among(fields.get(name), values) for name, values in self.where.items())
-        return wanted and not any(is_among(fields.get(name), values) for name, values in self.exclude.items())
-
 
 def _equal(one: Any, other: Any) -> bool:
-    """Return whether two field values are equal, numbers up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=1e-9)
     return one == other
@@ -87,13 +92,7 @@ def is_among(value: Any, values: Iterable[Any]) -> bool:
 
 
 def refuse_absent(carriers: Sequence[Any], name: str, values: Iterable[Any], option: str, asked: str) -> None:
-    """Refuse a field, or a value of it, that no table or recording in `carriers` has.
-
-    `option` (names the field) and `asked` (names its values) are for messages.
-
-    Raises:
-        LogError: No carrier has the field or a value.
-    """
+    """Raise LogError for a field, or a value of it, that no carrier has; `option` and `asked` name them."""
     present = list(dict.fromkeys(carrier.fields[name] for carrier in carriers if name in carrier.fields))
     if not present:
         known = {known for carrier in carriers for known in carrier.fields}
@@ -111,13 +110,6 @@ def _compile(pattern: str) -> re.Pattern[str]:
         raise ConfigError(f"data.fields_from_name={pattern}: {error}; expected a regular expression") from None
 
 
-def _number_or_text(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
 def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> list[Payload | None]:
     """Return the payload of the drive in each recording, training before test.
 
@@ -131,7 +123,13 @@ def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> li
     if not given:
         return [None] * len(recordings)
     if isinstance(given[0], Mapping):
-        table = [_read_entry(place, entry) for place, entry in enumerate(given)]
+        table = []
+        for place, entry in enumerate(given):
+            keys = {*entry} if isinstance(entry, Mapping) else set()
+            if keys != {"when", "payload"} or not isinstance(entry["when"], Mapping):
+                expected = "when: {field: value} and payload: [7 numbers]"
+                raise ConfigError(f"data.payload[{place}] is {entry}; expected {expected}")
+            table.append((entry["when"], _read_numbers(_describe(entry["when"]), entry["payload"])))
         return [_look_up(table, recording) for recording in recordings]
     if len(given) != len(recordings):
         expected = f"expected {len(recordings)}, one a recording, train first"
@@ -139,29 +137,21 @@ def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> li
     return [_read_numbers(recording.name, numbers) for recording, numbers in zip(recordings, given, strict=True)]
 
 
-def _read_entry(place: int, entry: Any) -> tuple[Mapping[str, Any], Payload]:
-    if not isinstance(entry, Mapping) or set(entry) != {"when", "payload"} or not isinstance(entry["when"], Mapping):
-        raise ConfigError(f"data.payload[{place}] is {entry}; expected when: {{field: value}} and payload: [7 numbers]")
-    return entry["when"], _read_numbers(_describe(entry["when"]), entry["payload"])
-
-
 def _look_up(table: Sequence[tuple[Mapping[str, Any], Payload]], recording: Recording) -> Payload:
     fields = recording.fields
-    matching = [
-        payload
-        for when, payload in table
-        if all(name in fields and _equal(fields[name], value) for name, value in when.items())
-    ]
+    asked = {name: fields.get(name, "missing") for when, _ in table for name in when}
+    matching = [load for when, load in table if all(n in fields and _equal(fields[n], v) for n, v in when.items())]
     if len(matching) == 1:
         return matching[0]
-    asked = {name: fields.get(name, "missing") for when, _ in table for name in when}
     problem = f"{recording.name}: {len(matching) or 'no'} entries of data.payload fit {_describe(asked)}"
     raise ConfigError(f"{problem}, expected one; correct the table or leave the recording out with data.exclude")
 
 
 def _read_numbers(owner: str, numbers: Any) -> Payload:
     subject = f"data.payload of {owner} is {numbers}"
-    if not isinstance(numbers, Sequence) or len(numbers) != 7 or not all(_is_finite(x) for x in numbers):
+    values = numbers if isinstance(numbers, Sequence) else ()
+    is_number = (isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) for x in values)
+    if len(values) != 7 or not all(is_number):
         raise ConfigError(f"{subject}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz")
     mass, x, y, z, ixx, iyy, izz = map(float, numbers)
     if min(mass, ixx, iyy, izz) < 0 or 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
@@ -172,7 +162,3 @@ def _read_numbers(owner: str, numbers: Any) -> Payload:
 
 def _describe(fields: Mapping[str, Any]) -> str:
     return ", ".join(f"{name}={value}" for name, value in fields.items())
-
-
-def _is_finite(number: Any) -> bool:
-    return isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)

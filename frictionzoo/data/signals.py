@@ -29,6 +29,8 @@ MOST_ORDER = 20  # of a filter; at higher orders its coefficients are rounding e
 
 Signal = Float[np.ndarray, "time"]
 """Samples of one signal, or their times [s]."""
+Grid = Float[np.ndarray, "grid"]
+Samples = Float[np.ndarray, "time *columns"]
 
 
 def find_breaks(time: Signal, gap: float) -> Int[np.ndarray, "breaks"]:
@@ -96,8 +98,7 @@ def find_wrap(position: Signal) -> float | None:
     if len(steps) < 3:
         return None
     before, jump, after = steps[:-2], steps[1:-1], steps[2:]
-    motion = (before + after) / 2
-    beside = np.maximum(np.abs(before), np.abs(after))
+    motion, beside = (before + after) / 2, np.maximum(np.abs(before), np.abs(after))
     jumps = (np.abs(jump) > JUMPED * float(np.ptp(position[np.isfinite(position)]))) & (jump * motion < 0)
     jumps &= beside < BESIDE * np.abs(jump)
     periods = np.abs(jump - motion)[jumps]
@@ -186,7 +187,7 @@ def find_velocity_lag(time: Signal, position: Signal, velocity: Signal) -> tuple
     return find_lag(velocities, _derive(positions, float(grid[1] - grid[0])), float(grid[1] - grid[0]))
 
 
-def regular_stretch(time: Signal, *signals: Signal) -> tuple[Float[np.ndarray, "grid"], ...]:
+def regular_stretch(time: Signal, *signals: Signal) -> tuple[Grid, ...]:
     """Resample the longest stretch without a gap to a uniform grid of the median interval; return grid [s] and signals.
 
     Samples at which any signal is not finite are left out.
@@ -205,7 +206,7 @@ def regular_stretch(time: Signal, *signals: Signal) -> tuple[Float[np.ndarray, "
     return grid, *(np.interp(grid, time, signal[cut]) for signal in signals)
 
 
-def derive_velocity(time: Signal, position: Signal) -> Float[np.ndarray, "grid"]:
+def derive_velocity(time: Signal, position: Signal) -> Grid:
     """Derive the velocity on the grid of `regular_stretch` [rad/s or m/s]; a single 0 if that is too short."""
     grid, positions = regular_stretch(time, position)
     return _derive(positions, float(grid[1] - grid[0])) if len(grid) > 20 else np.zeros(1)
@@ -226,9 +227,7 @@ def check_filter(section: str, cutoff: float, order: int) -> None:
     refuse_outside(f"{section}.order", order, 1, MOST_ORDER)
 
 
-def smooth(
-    signal: Float[np.ndarray, "time *columns"], timestep: float, cutoff: float, order: int, name: str, option: str
-) -> Float[np.ndarray, "time *columns"]:
+def smooth(signal: Samples, timestep: float, cutoff: float, order: int, name: str, option: str) -> Samples:
     """Filter uniform samples, each column separately, with a zero-phase Butterworth low-pass.
 
     It runs forwards and backwards, so the gain at `cutoff` [Hz] is 1/2, and the two passes double `order`. `name` of
@@ -262,9 +261,7 @@ def estimate_velocity(
     return np.gradient(smooth(position, timestep, cutoff, order, name, option), timestep)
 
 
-def sample_signal(
-    values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method: str
-) -> Float[np.ndarray, "grid"]:
+def sample_signal(values: Signal, time: Signal, at: Grid, method: str) -> Grid:
     """Return a signal's values at other times [s]: `held`, `linear`, `cubic`, or the `mean` of the held signal."""
     if method == "held":
         tolerance = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0

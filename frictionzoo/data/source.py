@@ -9,11 +9,7 @@ from frictionzoo.core.registry import KINDS, Registry
 
 
 class Source(Described, ABC):
-    """Data source that a file of `conf/data` configures.
-
-    Attributes:
-        name: Name of the data set; on the class, the registered name.
-    """
+    """Data source that a file of `conf/data` configures; `name` is the data set's, on the class the registered name."""
 
     name: str
 
@@ -33,11 +29,7 @@ class Source(Described, ABC):
 
     @abstractmethod
     def load(self) -> Dataset:
-        """Load the recordings.
-
-        Raises:
-            LogError: They are missing or have unexpected contents.
-        """
+        """Load the recordings; LogError if they are missing or have unexpected contents."""
 
 
 REGISTRY = Registry(KINDS["sources"], Source, "load")

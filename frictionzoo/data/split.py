@@ -73,8 +73,8 @@ class Split:
 
     def _divide_by_time(self, logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
         train, test, errors = [], [], []
+        gap = None if self.gap is None else float(self.gap)
         for log in logs:
-            gap = None if self.gap is None else float(self.gap)
             try:
                 first, last = split_by_time(log, float(self.test_share), gap)
             except LogError as error:
@@ -103,7 +103,8 @@ class Split:
             return _spread(float(share), len(recordings))
         is_test = np.zeros(len(recordings), dtype=bool)
         for pattern in map(str, self._tested):
-            matches = np.array([_is_called(recording.name, pattern) for recording in recordings])
+            names = ((recording.name, _last_part(recording.name)) for recording in recordings)
+            matches = np.array([any(pattern == n or fnmatch(n, pattern) for n in pair) for pair in names])
             if not matches.any():
                 raise LogError(
                     f"data.split.test={pattern}: none of {len(matches)} recordings has that name; expected a name or a "
@@ -123,10 +124,5 @@ def _spread(share: float, count: int) -> Bool[np.ndarray, "recordings"]:
     return chosen
 
 
-def _is_called(name: str, pattern: str) -> bool:
-    return name == pattern or fnmatch(name, pattern) or fnmatch(_last_part(name), pattern)
-
-
 def _last_part(name: str) -> str:
-    """Return a file's name without folders, or a member's name without archive and folders."""
     return name.rpartition("!")[2].replace("\\", "/").rpartition("/")[2]

@@ -86,7 +86,6 @@ def _find_time(key: str, table: Table, times: Sequence[str]) -> str:
 
 
 def _refuse_apart(name: str, clocks: Mapping[str, Real[np.ndarray, "_"]]) -> None:
-    """Raise LogError for times that do not overlap, as those of clocks with different origins or units."""
     spans = {clock: (float(np.nanmin(times)), float(np.nanmax(times))) for clock, times in clocks.items() if len(times)}
     shared = min(last for _, last in spans.values()) - max(first for first, _ in spans.values())
     if shared < OVERLAP * max(last - first for first, last in spans.values()):

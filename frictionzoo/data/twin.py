@@ -298,10 +298,10 @@ def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
     types = {field.name: field.type for field in fields(part)}
     for key in set(given) - set(types):
         raise ConfigError(f"data.{name}.{key}: unknown option; {closest(str(key), types)}")
-    for key in set(types) - set(given):
-        raise ConfigError(f"data.{name}.{key}: missing; give {', '.join(types)}")
-    values = {}
+    values: dict[str, Any] = {}
     for key, kind in types.items():
+        if key not in given:
+            raise ConfigError(f"data.{name}.{key}: missing; give {', '.join(types)}")
         is_number = kind in (int, float)
         try:
             if is_number:

@@ -19,8 +19,7 @@ Columns = Float[np.ndarray, "time columns"]
 def find_dead_velocities(time: Signal, qpos: Columns, qvel: Columns, gap: float) -> dict[int, str]:
     """Find joints whose recorded velocity is missing, constant or shows no motion, and return a sentence about each.
 
-    `qpos` [rad or m] and `qvel` [rad/s or m/s] are NaN where missing; `time` is in s. `gap` is the longest interval
-    that is not a gap, in median intervals.
+    `time` is in s, `qpos` [rad or m] and `qvel` [rad/s or m/s] are NaN where missing; `gap` as in `Cleaning`.
     """
     faults = (_find_fault(time, *pair, gap) for pair in zip(qpos.T, qvel.T, strict=True))
     return {joint: f"qvel{of_joints([joint], qvel)} {fault}" for joint, fault in enumerate(faults) if fault}
@@ -48,11 +47,9 @@ def compare_velocities(
 ) -> tuple[list[str], list[int]]:
     """Compare measured velocities [rad/s or m/s] with positions [rad or m] at uniform times [s].
 
-    `estimates` are velocities derived from the positions; None keeps all measured ones. `name` is for messages.
-
-    Returns:
-        Sentences on joints whose velocity is less accurate than the estimate, or unlike the position's derivative; and
-            the numbers of the former.
+    `estimates` are velocities derived from the positions; None keeps all measured ones. Return sentences on joints
+    whose velocity is less accurate than the estimate, or unlike the position's derivative; and the numbers of the
+    former.
 
     Raises:
         LogError: The units of a velocity and its position differ.

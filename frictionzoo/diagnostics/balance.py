@@ -34,6 +34,8 @@ FEW = 50  # rows needed
 CORRELATED = 15.0  # neighbouring rows that count as one independent row
 FARTHEST, FINEST = 0.5, 0.002  # s, largest delay of a torque in either direction, and smallest step between delays
 ALIKE = 1e-6  # share of the links' torque not explained by inertia, below which a joint counts as unloaded
+Torque = Float[np.ndarray, "time nv"]
+Rows = Float[np.ndarray, "rows nv"]
 
 
 class BalanceRows(NamedTuple):
@@ -42,33 +44,29 @@ class BalanceRows(NamedTuple):
     Attributes:
         torque: Actuator torque [N m or N].
         links: Torque that links, springs and dampers of the bench need [N m or N].
-        qvel: Velocity [rad/s or m/s].
-        qacc: Acceleration [rad/s^2 or m/s^2].
         rows: Sample index of each row.
         when: Time of each row [s].
         whole: Actuator torque in all samples [N m or N].
         timestep: Sample interval [s].
     """
 
-    torque: Float[np.ndarray, "rows nv"]
-    links: Float[np.ndarray, "rows nv"]
-    qvel: Float[np.ndarray, "rows nv"]
-    qacc: Float[np.ndarray, "rows nv"]
+    torque: Rows
+    links: Rows
+    qvel: Rows
+    qacc: Rows
     rows: Int[np.ndarray, "rows"]
     when: Float[np.ndarray, "rows"]
-    whole: Float[np.ndarray, "time nv"]
+    whole: Torque
     timestep: float
 
 
 class TorqueRegression(NamedTuple):
-    """Regression of a joint's torque.
+    """Regression of a joint's torque, with standard errors.
 
     Attributes:
         left: Unexplained share of the torque's variance.
         share: Factor on the links' torque; NaN if that is constant or explained by acceleration alone.
-        error: Standard error of `share`.
         inertia: Armature, including the links' inertia if `share` is NaN [kg m^2 or kg].
-        inertia_error: Standard error of `inertia`.
         links: Share of the torque's variance that the links' torque explains beyond inertia and friction.
         acceleration: Acceleration of `inertia` under the largest torque [rad/s^2 or m/s^2].
     """
@@ -82,17 +80,13 @@ class TorqueRegression(NamedTuple):
     acceleration: float
 
 
-def commanded_torque(
-    log: Log, bench: Bench, qvel: Float[np.ndarray, "time nv"] | None = None
-) -> Float[np.ndarray, "time nv"]:
+def commanded_torque(log: Log, bench: Bench, qvel: Torque | None = None) -> Torque:
     """Return actuator torques of an accepted log [N m or N], at initial values and `qvel` if set, without delay."""
     values = {name: value for name, value in bench.initial_values().items() if name != "delay"}
     return actuator_torque(bench, log, values, qvel)
 
 
-def balance(
-    log: Log, bench: Bench, model: mujoco.MjModel, measured: Float[np.ndarray, "time nv"] | None = None
-) -> BalanceRows | None:
+def balance(log: Log, bench: Bench, model: mujoco.MjModel, measured: Torque | None = None) -> BalanceRows | None:
     """Return an accepted log's torque balance; None if it is too short to filter or a value is not finite.
 
     `model` is the bench compiled without a friction constraint; the log's load is put into it. `measured` is a torque
@@ -187,7 +181,6 @@ def _passive(found: BalanceRows, joint: int) -> tuple[Bool[np.ndarray, "rows"], 
 def _regress(
     columns: Float[np.ndarray, "rows n"], torque: Float[np.ndarray, "rows"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], float]:
-    """Solve least squares; return values, standard errors and the unexplained share of the variance."""
     size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     scaled = columns / size
     values = np.linalg.lstsq(scaled, torque, rcond=None)[0]

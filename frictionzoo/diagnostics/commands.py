@@ -44,10 +44,8 @@ def check_work(bench: Bench, joint: int, share: float) -> Iterator[Finding]:
     """Find a command that takes energy from the drive; uncertain if other joints move this one."""
     if not takes_energy(bench, joint, share):
         return
-    text = (
-        f"ctrl{of_joint(bench.joints, joint)} takes energy from the drive ({100 * share:.0f} % of the energy that they "
-    )
-    text += "exchange)"
+    of = of_joint(bench.joints, joint)
+    text = f"ctrl{of} takes energy from the drive ({100 * share:.0f} % of the energy that they exchange)"
     if _is_alone(bench, joint):
         message = f"{text}, expected to supply it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or check "
         message += "qpos and ctrl for swapped columns, units, zero and time shift (data.columns, data.units, "
@@ -64,6 +62,7 @@ def takes_energy(bench: Bench, joint: int, share: float) -> bool:
 
 
 def _is_alone(bench: Bench, joint: int) -> bool:
+    """Return whether no other joint moves this one."""
     return bench.branches.count(bench.branches[joint]) == 1
 
 

@@ -88,23 +88,19 @@ def check_motion(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
     for position in qpos:
         data.qpos[:] = position
         mujoco.mj_fwdPosition(model, data)
-        counts.update({*_limits(model, data), *_contacts(model, data)})
+        counts.update({*_list_forces(model, data)})
     for text, times in counts.items():
         message = f"{text} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo applies a force there, "
         message += "which biases friction; check these positions, or remove the limit or contact from the MJCF"
         yield Finding("caution", text, message)
 
 
-def _limits(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[str]:
-    for row in range(data.nefc):
-        kind, index = data.efc_type[row], data.efc_id[row]
+def _list_forces(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[str]:
+    """Yield limits that are reached, and geoms that touch."""
+    for kind, index in zip(data.efc_type, data.efc_id, strict=True):
         if kind == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT:
             yield f"joint {model.joint(index).name} is at its limit"
         elif kind == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON:
             yield f"tendon {model.tendon(index).name or index} is at its limit"
-
-
-def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[str]:
-    for index in range(data.ncon):
-        geoms = (model.geom(geom) for geom in data.contact[index].geom)
-        yield "geoms {} and {} touch".format(*(geom.name or f"number {geom.id}" for geom in geoms))
+    for pair in data.contact.geom:
+        yield "geoms {} and {} touch".format(*(model.geom(geom).name or f"number {geom}" for geom in pair))

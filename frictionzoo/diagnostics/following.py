@@ -33,11 +33,9 @@ OTHER = 0.3  # distance to another joint's command, relative to the joint's comm
 
 
 class Followed(NamedTuple):
-    """A joint's position compared with its command.
+    """A joint's position compared with its command, both without outliers [rad or m].
 
     Attributes:
-        qpos: Position without outliers [rad or m].
-        ctrl: Command without outliers [rad or m].
         on: Samples in which the drive should follow.
         settles: Damping over stiffness of the actuator law, which explains a lag of the position [s].
         work: Net work of the command, as a share of the energy that it exchanges.
@@ -154,7 +152,6 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[Finding]:
 
 
 def _check_size(of: str, found: Followed, slide: bool) -> Iterator[Finding]:
-    """Find a position with another scale or zero than its command."""
     scale = float(found.likeness.scale[found.likeness.best])
     qpos, ctrl = found.qpos[found.on], found.ctrl[found.on]
     moved, asked, apart = np.ptp(qpos), np.ptp(ctrl), float(np.abs(qpos - ctrl).min())

@@ -20,14 +20,7 @@ STEADY = 0.2  # largest scatter of the windows' lags, as a share of that change
 
 
 class Likeness(NamedTuple):
-    """Similarity of a signal and a reference at many lags.
-
-    Attributes:
-        lags: Lags of the signal [s].
-        correlation: Correlation at each lag, -1 to 1.
-        scale: Scale of the signal relative to the reference.
-        distance: RMS difference in the signals' unit.
-    """
+    """Correlation (-1 to 1), scale and RMS distance of a signal from a reference at many lags of the signal [s]."""
 
     lags: Float[np.ndarray, "lags"]
     correlation: Float[np.ndarray, "lags"]

@@ -1,15 +1,15 @@
 """`inspect.json`: survey of the recordings of a data set; `inspect.schema.json` in this folder describes it."""
 
 import contextlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from frictionzoo import __version__
+from frictionzoo.core import records
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import JITTER, Log, pool_origins
 from frictionzoo.core.output import to_json
@@ -31,6 +31,8 @@ from frictionzoo.data.signals import (
 )
 from frictionzoo.diagnostics.survey_findings import list_findings
 
+read_schema = partial(records.read_schema, "frictionzoo.diagnostics", "inspect")
+"""Return the JSON schema of `inspect.json`, which documents every field."""
 SCHEMA_VERSION = 4
 OUTLIER = 0.2  # largest plausible deviation of a supply voltage, as a share of its median
 SLOWEST = 0.05  # share of the top speed below which a sample counts as slow
@@ -39,11 +41,6 @@ VOLTAGES = ("vin", "voltage", "supply", "supply_voltage", "input_voltage")  # he
 
 Survey = dict[str, Any]
 """Content of `inspect.json`, or a part of it."""
-
-
-def read_schema() -> dict[str, Any]:
-    """Return the JSON schema of `inspect.json`, which documents every field."""
-    return json.loads(resources.files("frictionzoo.diagnostics").joinpath("inspect.schema.json").read_text("utf-8"))
 
 
 def list_recordings(source: Any) -> list[Recording]:
@@ -138,12 +135,21 @@ def measure(recording: Recording) -> Survey:
     signals, enable = recording.signals, recording.signals.get("enable")
     finite = np.all([np.isfinite(values).all(axis=1) for values in signals.values()], axis=0)
     measured = signals["qvel"].T if "qvel" in signals else [None] * signals["qpos"].shape[1]
+
+    def measure_command(command: Signal) -> Survey:
+        samples = command[np.isfinite(command)]
+        if not len(samples):
+            raise LogError(f"{recording.name}: ctrl holds no finite sample; check data.columns.ctrl")
+        low, high = float(samples.min()), float(samples.max())
+        share = float(((samples == low) | (samples == high)).mean()) if high > low else 0.0
+        return {"range": (low, high), "saturated": share}
+
     return {
         "name": recording.name,
         "timing": measure_timing(recording.time),
         "lost": int((~finite).sum()),
         "joints": [_measure_joint(recording, *pair) for pair in zip(signals["qpos"].T, measured, strict=True)],
-        "commands": [_measure_command(recording.name, command) for command in signals["ctrl"].T],
+        "commands": [measure_command(command) for command in signals["ctrl"].T],
         "supply": _measure_supply(signals.get("supply"), recording.fields),
         "enabled": None if enable is None else float((enable > 0.5).mean()),
         "sha256": recording.sha256,
@@ -196,15 +202,6 @@ def _measure_joint(recording: Recording, position: Signal, measured: Signal | No
     }
 
 
-def _measure_command(name: str, command: Signal) -> Survey:
-    finite = command[np.isfinite(command)]
-    if not len(finite):
-        raise LogError(f"{name}: ctrl holds no finite sample; check data.columns.ctrl")
-    low, high = float(finite.min()), float(finite.max())
-    share = float(((finite == low) | (finite == high)).mean()) if high > low else 0.0
-    return {"range": (low, high), "saturated": share}
-
-
 def _measure_supply(supply: Float[np.ndarray, "time columns"] | None, fields: Mapping[str, Any]) -> Survey | None:
     if supply is None or not np.isfinite(supply).any():
         return None
@@ -241,9 +238,8 @@ def _pool_timing(measured: Sequence[Survey]) -> Survey:
 def _pool_joint(recordings: Sequence[Recording], measured: Sequence[Survey], joint: int) -> Survey:
     joints = [entry["joints"][joint] for entry in measured]
     velocity = pool_velocities(recordings, joint)
-    low, high = np.quantile(velocity, [TOP, 1 - TOP])
-    top = max(-low, high)
-    delay = estimate_delay(recordings, joint)
+    low, high = _range(velocity)
+    top, delay = max(-low, high), estimate_delay(recordings, joint)
     names = ("wrap", "position_quantum", "velocity_quantum", "velocity_lag", "velocity_scale", "top_speed", "rest")
     return {
         "position": _envelop(entry["position"] for entry in joints),

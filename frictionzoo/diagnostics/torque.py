@@ -59,7 +59,13 @@ def check_recorded(log: Log, bench: Bench, model: mujoco.MjModel) -> Iterator[Fi
     others = {unit: _explain_recorded(log, bench, model, torque, factor) for unit, factor in ANGLES.items() if doubtful}
     for joint, one in doubtful.items():
         of = of_joint(bench.joints, joint)
-        suits = [unit for unit, found in others.items() if _suits(found[joint])]
+        # But for friction, in the right unit the torque is the one that the links need.
+        regressions = {unit: found[joint] for unit, found in others.items()}
+        suits = [
+            unit
+            for unit, other in regressions.items()
+            if other and agrees(other) and abs(other.share - 1) < SUITS and other.left < PLAIN and other.links > KNOWN
+        ]
         if suits or one.error < KNOWN * abs(one.share):
             text = f"the recorded torque{of} is {one.share:.3g} times the torque that gravity "
             text += "and inertia need for the motion, expected about 1: their units differ; set "
@@ -68,11 +74,6 @@ def check_recorded(log: Log, bench: Bench, model: mujoco.MjModel) -> Iterator[Fi
             yield Finding(
                 "bad" if suits else "caution", "recorded torque", text, log=log.name, joint=bench.joints[joint]
             )
-
-
-def _suits(one: TorqueRegression | None) -> bool:
-    """Return whether a torque is, but for friction, the one that the links need."""
-    return one is not None and agrees(one) and abs(one.share - 1) < SUITS and one.left < PLAIN and one.links > KNOWN
 
 
 def _explain_recorded(
@@ -97,34 +98,27 @@ def _check_joint(bench: Bench, joint: int, one: TorqueRegression, to_position: b
             text += "joint's axis in the MJCF"
             yield Finding("bad", "opposed", text, repairs=turn(joint, *turned))
         elif one.links > MATTERS * one.left and not 1 / TIMES < one.share < TIMES:
+            option, repairs = _scale_torque(bench, joint, 1 / one.share)
             text = f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear "
-            text += f"ratio is missing, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}"
-            repairs = _scale_torque(bench, joint, 1 / one.share)
+            text += f"ratio is missing, or ctrl has another unit; set {option}"
             state = "caution" if 1 / TIMES**2 < one.share < TIMES**2 else "bad"
             yield Finding(state, "torque", text, repairs=repairs)
     elif np.isnan(one.share) and one.left < PLAIN and one.inertia_error < KNOWN * abs(one.inertia):
         yield from _check_inertia(bench, joint, of, one)
 
 
-def _name_gains(bench: Bench) -> tuple[str, ...]:
-    """Return the parameters that scale an actuator's torque."""
+def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[str, tuple[Repair, ...]]:
+    """Return the options that scale an actuator's torque, in words and as repairs."""
     proportional = (("force_gain",), ("kp", "kd"), ("torque_gain",), ("kt_over_r", "kt2_over_r"))
-    return next((names for names in proportional if {*names} <= bench.actuator.params.keys()), ())
-
-
-def _torque_option(bench: Bench, factor: float) -> str:
-    names = _name_gains(bench)
+    names = next((names for names in proportional if {*names} <= bench.actuator.params.keys()), ())
+    whose = "its value" if len(names) == 1 else "their values"
+    option = f"bench.actuator.params.{' and '.join(names)}" if names else "the actuator's gains"
+    units = "data.units"
     if names == ("force_gain",):
-        return f"bench.actuator.params.force_gain.init to {factor:.3g} times its value, or data.units.ctrl={factor:.3g}"
-    if not names:
-        return f"the actuator's gains to {factor:.3g} times their values, or data.units"
-    whose = "their values" if len(names) > 1 else "its value"
-    return f"bench.actuator.params.{' and '.join(names)} to {factor:.3g} times {whose}, or data.units"
-
-
-def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[Repair, ...]:
-    rounded = float(f"{factor:.3g}")
-    return tuple(Repair(f"bench.actuator.params.{n}.init", rounded, joint, is_factor=True) for n in _name_gains(bench))
+        option, units = f"{option}.init", f"data.units.ctrl={factor:.3g}"
+    gains = (f"bench.actuator.params.{name}.init" for name in names)
+    repairs = tuple(Repair(gain, float(f"{factor:.3g}"), joint, is_factor=True) for gain in gains)
+    return f"{option} to {factor:.3g} times {whose}, or {units}", repairs
 
 
 def _check_inertia(bench: Bench, joint: int, of: str, one: TorqueRegression) -> Iterator[Finding]:
@@ -154,14 +148,13 @@ def _check_time(log: Log, found: BalanceRows, explained: Sequence[TorqueRegressi
         return
     lag, usual = float(lags[misfit.argmin()]), misfit[(lags >= -EARLY) & (lags <= LATE)]
     windows = np.array_split(np.arange(len(found.torque)), WINDOWS)
-    drift = find_drift([_window_lag(found, joints, rows) for rows in windows])
-    if drift is not None:
+
+    def find_lag(rows: np.ndarray) -> tuple[float, float] | None:
+        lags, misfit = delayed(found, joints, slice(rows[0], rows[-1] + 1))
+        lag = pick_lag(lags, misfit) if len(lags) > 2 else None
+        return None if lag is None else (float(found.when[rows].mean()), lag)
+
+    if (drift := find_drift([find_lag(rows) for rows in windows])) is not None:
         yield replace(drift, log=log.name)
     elif misfit.min() <= LEFT and not -EARLY <= lag <= LATE and misfit.min() < MUCH_BETTER * usual.min():
         yield replace(find_shift("the motion", lag), log=log.name)
-
-
-def _window_lag(found: BalanceRows, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:
-    lags, misfit = delayed(found, joints, slice(rows[0], rows[-1] + 1))
-    lag = pick_lag(lags, misfit) if len(lags) > 2 else None
-    return None if lag is None else (float(found.when[rows].mean()), lag)

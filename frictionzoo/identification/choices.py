@@ -1,24 +1,29 @@
-"""Choices of the automatic settings that need no fit: implied options, and upper bounds of armature and friction."""
+"""Choices of the automatic settings that need no fit: implied options, upper bounds, and lengths of rollouts."""
 
 import copy
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.config import list_choices
 from frictionzoo.core.described import remake
-from frictionzoo.core.log import Log
+from frictionzoo.core.errors import LogError
+from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO, Param
+from frictionzoo.core.segments import cut_segments, longest_window
 from frictionzoo.diagnostics.balance import balance
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.by_name import law_section
+from frictionzoo.result.evaluate import Evaluator
+from frictionzoo.result.section_types import AutomaticSetting
 
 _log = logging.getLogger(__name__)
+FEWEST = 10  # samples of a segment, and of an evaluation rollout
 _AMPLE = 2.0  # factor on the bound that the torque allows
 _LARGE = 99.0  # percentile of the absolute torque: a few samples may be wrong
 _STILL = 0.1  # share of the fastest joint's speed or acceleration below which a joint is ignored
@@ -33,31 +38,21 @@ RIVALS = "torque_offset", "position_offset"
 """Two optional parameters that shift a balance with gravity alike: at most one of them is identified."""
 
 
-class Choice(NamedTuple):
-    """The value chosen for an open option, and the reason."""
-
-    option: str
-    value: Any
-    reason: str
-
-    def __str__(self) -> str:
-        value = "null" if self.value is None else self.value
-        return f"{self.option}={str(value).lower() if isinstance(value, bool) else value}: {self.reason}"
-
-
-def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
+def imply(loss: Mapping[str, Any]) -> Iterator[AutomaticSetting]:
     """Yield the choices that the options of a loss determine; an open option is `auto`."""
     options = {name: value for name, value in loss.items() if value != AUTO}
     if options.get("impulse"):
-        yield Choice("loss.position", 0.0, "loss.impulse uses measured velocities only")
-        yield Choice("loss.refine", False, "loss.impulse uses measured velocities only")
+        yield AutomaticSetting("loss.position", 0.0, "loss.impulse uses measured velocities only")
+        yield AutomaticSetting("loss.refine", False, "loss.impulse uses measured velocities only")
     if options.get("robust", "none") != "none":
-        yield Choice("loss.refine", False, "a robust loss starts at measured states")
+        yield AutomaticSetting("loss.refine", False, "a robust loss starts at measured states")
     if 0 in (options.get("position"), options.get("velocity")):
-        yield Choice("loss.refine", False, "multiple shooting needs weights above 0 for position and velocity")
+        yield AutomaticSetting(
+            "loss.refine", False, "multiple shooting needs weights above 0 for position and velocity"
+        )
     if options.get("continuity"):
-        yield Choice("loss.refine", True, "loss.continuity needs estimated initial states")
-        yield Choice("segments.count", None, "loss.continuity needs consecutive segments")
+        yield AutomaticSetting("loss.refine", True, "loss.continuity needs estimated initial states")
+        yield AutomaticSetting("segments.count", None, "loss.continuity needs consecutive segments")
 
 
 def is_open(params: Mapping[str, Any], name: str) -> bool:
@@ -67,7 +62,7 @@ def is_open(params: Mapping[str, Any], name: str) -> bool:
 
 def widen_bounds(
     settings: Mapping[str, Any], bench: Bench, logs: Sequence[Log], model: FrictionModel
-) -> tuple[Mapping[str, Any], Bench, tuple[Choice, ...]]:
+) -> tuple[Mapping[str, Any], Bench, tuple[AutomaticSetting, ...]]:
     """Raise default upper bounds to the largest values that recordings allow, if `recipe` is `auto`.
 
     The torque that moves a joint limits its dry friction, torque over speed its damping, and torque over acceleration
@@ -82,9 +77,10 @@ def widen_bounds(
     allowed, changed, choices = _allow(bench, logs), copy.deepcopy(dict(settings)), []
     for law, sections, option in _list_laws(model, changed["model"]):
         low = {name: param for name, param in law.params.items() if _is_low(param, allowed)}
-        defaults = _read_defaults(law.name, settings) if low else {}
+        is_shipped = low and law.name in list_choices("model")
+        defaults = law_section(law.name, settings, {}).get("params", {}) if is_shipped else {}
         for name, param in low.items():
-            if param.high == defaults.get(name):
+            if name in defaults and param.high == defaults[name]["high"]:
                 high = allowed[param.dimension]
                 law.params[name] = replace(param, high=high)
                 for section in sections:
@@ -121,7 +117,6 @@ def _allow(bench: Bench, logs: Sequence[Log]) -> dict[str, float]:
 
 
 def _is_low(param: Param, allowed: Mapping[str, float]) -> bool:
-    """Return whether an identified parameter has a scalar upper bound below the one that recordings allow."""
     high = param.high
     return param.is_identified and isinstance(high, float) and high < allowed.get(param.dimension, 0.0)
 
@@ -140,13 +135,57 @@ def _list_laws(
         yield law, [laws[key] for key in keys], f"model.laws.{keys[0]}"
 
 
-def _read_defaults(name: str, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Return the default upper bounds of a friction model's parameters."""
-    if name not in list_choices("model"):
-        return {}
-    return {key: param["high"] for key, param in law_section(name, settings, {}).get("params", {}).items()}
-
-
-def _choose(option: str, param: Param, high: float) -> Choice:
+def _choose(option: str, param: Param, high: float) -> AutomaticSetting:
     over = {"damping": " over the speed", "inertia": " over the acceleration"}.get(param.dimension, "")
-    return Choice(f"{option}.high", high, f"twice the torque{over} in the recordings; default {param.high:g}")
+    return AutomaticSetting(f"{option}.high", high, f"twice the torque{over} in the recordings; default {param.high:g}")
+
+
+def fit_lengths(
+    settings: Mapping[str, Any], dataset: Dataset, kind: str
+) -> tuple[dict[str, Any], tuple[AutomaticSetting, ...]]:
+    """Shorten evaluation rollouts to the recordings, and check that segments and rollouts can be cut.
+
+    `kind`: type of the joints, `hinge` or `slide`. Return settings with the new lengths, and one choice for each.
+
+    Raises:
+        LogError: The recordings are too short for an evaluation, or for segments of a length that was set.
+        ConfigError: An option of the evaluation is impossible.
+    """
+    for part, logs in (("test", dataset.test), ("train", dataset.train)):
+        if (longest := max(logs, key=lambda log: log.samples)).samples <= FEWEST:
+            raise LogError(
+                f"{longest.name}: {longest.samples} samples to {part}, expected more than {FEWEST}; use a longer log, "
+                "or change data.split"
+            )
+    evaluation = dict(settings["evaluation"])
+    choices = tuple(_shorten(evaluation, dataset))
+    evaluation |= {choice.option.partition(".")[2]: choice.value for choice in choices}
+    for choice in choices:
+        _log.info("%s", choice)
+    Evaluator(dataset, kind, **evaluation)  # refuses impossible options before the work
+    length = settings["segments"]["length"]
+    if length != AUTO:
+        cut_segments(dataset.train, 1, length)
+    return {**settings, "evaluation": evaluation}, choices
+
+
+def _shorten(evaluation: Mapping[str, Any], dataset: Dataset) -> Iterator[AutomaticSetting]:
+    """Yield the lengths of rollouts that the recordings do not allow: longer than they are, or below a sample."""
+    test, train = _longest(dataset.test), _longest(dataset.train)
+    interval = float(f"{dataset.test[0].timestep:.6g}")
+
+    def limit(seconds: float, longest: float) -> float:
+        return min(max(seconds, interval), longest) if seconds > 0 else seconds
+
+    horizons = [limit(horizon, min(test, train)) for horizon in evaluation["horizons"]]
+    lengths = {option: limit(evaluation[option], test) for option in ("trajectory", "local")}
+    lengths["window"] = limit(evaluation["window"], lengths["trajectory"])
+    reason = f"rollouts of {{}} s, with a sample every {interval:g} s; test recordings last {test:g} s"
+    for option, value in {"horizons": list(dict.fromkeys(horizons)), **lengths}.items():
+        if value != (before := evaluation[option]) and (option != "horizons" or horizons != list(before)):
+            shown = ", ".join(f"{seconds:g}" for seconds in before) if option == "horizons" else f"{before:g}"
+            yield AutomaticSetting(f"evaluation.{option}", value, reason.format(shown))
+
+
+def _longest(logs: Sequence[Log]) -> float:
+    return float(f"{longest_window(logs) * logs[0].timestep:.6g}")

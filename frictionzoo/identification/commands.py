@@ -4,6 +4,7 @@ import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +36,7 @@ _WIDER = 10.0  # distance factor of a new bound from a repaired value outside th
 
 @dataclass(frozen=True)
 class Origin:
-    """The shell command of a run.
-
-    Attributes:
-        command: The command before the options.
-        options: Options as `KEY=VALUE`, without those in `law`.
-        folder: The run's folder.
-        law: Options that choose the friction model and its parameters.
-    """
+    """The shell command of a run: its beginning, its options `KEY=VALUE`, its folder, and the options of its model."""
 
     command: str
     options: tuple[str, ...]
@@ -67,17 +61,17 @@ class Origin:
 def suggest_commands(
     problem: Problem, values: Mapping[str, Any], residual: Residual | None, origin: Origin
 ) -> list[SuggestedCommand]:
-    """Return commands for a shell; the verdict may still drop some.
+    """Return commands for a shell, after a run with this `origin`; the verdict may still drop some.
 
-    Args:
-        problem: The problem that was identified.
-        values: Values of the bench's parameters, by name.
-        residual: The residual torque.
-        origin: The command of the run.
+    `values` are the bench's parameters by name.
     """
     law = choose_law(problem, residual)
     limits = recorded_limits(problem.bench, values, problem.dataset.train)
-    repairs = complete_options(_list_repairs(problem), problem.bench, problem.settings)
+    # Of the first finding that has repairs, and of all findings that set the same options.
+    options = [{repair.option for repair in doubt.repairs} for doubt in problem.doubts]
+    first = next(filter(None, options), set())
+    alike = [doubt.repairs for doubt, its in zip(problem.doubts, options, strict=True) if its == first]
+    repairs = complete_options(chain.from_iterable(alike), problem.bench, problem.settings)
     run, found = shlex.split(origin.command), dict[Any, str]()
     if repairs:
         kept = [each for each in (*origin.options, *origin.law) if each.partition("=")[0].lstrip("+~") not in repairs]
@@ -93,21 +87,10 @@ def suggest_commands(
     return [SuggestedCommand(kind, command) for kind, command in found.items()]
 
 
-def _list_repairs(problem: Problem) -> list[Repair]:
-    """Return the repairs of the first finding that has some, and of all findings that set the same options."""
-    first = next((doubt.repairs for doubt in problem.doubts if doubt.repairs), ())
-    options = {repair.option for repair in first}
-    alike = [doubt.repairs for doubt in problem.doubts if {repair.option for repair in doubt.repairs} == options]
-    return [repair for repairs in alike for repair in repairs]
-
-
 def complete_options(repairs: Iterable[Repair], bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that make all these repairs; lists have an entry for each joint, repaired or not.
 
-    Args:
-        repairs: Repairs of one or several findings; the first one for an option and joint counts.
-        bench: The test stand of the run.
-        settings: All options of the run.
+    The first repair of an option and joint counts; `settings` are all options of the run.
     """
     options: dict[str, Any] = {}
     done: set[tuple[str, int | None]] = set()
@@ -182,7 +165,6 @@ def _options_of_law(problem: Problem, law: str, residual: Residual | None) -> li
 
 
 def _is_excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any]) -> bool:
-    """Return whether the experiment design supports this drive."""
     try:
         inputs = _holding_inputs(problem.bench, problem.dataset.train)
         refuse_unholdable(problem.bench, values, inputs, Limits.read(problem.bench.nv, **limits))
@@ -203,7 +185,6 @@ def _design_in_shell(problem: Problem, limits: Mapping[str, Any], law: str, orig
 
 
 def _as_options(values: Mapping[str, Any]) -> list[str]:
-    """Return values as the command line writes them."""
     texts = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in values.items()}
     return [f"{name}={text.replace(' ', '')}" for name, text in texts.items()]
 

@@ -48,14 +48,15 @@ class Noise(NamedTuple):
         for log in logs:
             velocity[list(log.without_velocity)] = 0.0
         estimated = any(log.velocity_estimated for log in logs) or not velocity.any()
-        return cls(position, None if estimated else velocity, speed, _find_step(logs, position))
+        steps = np.array([find_step([log.qpos[:, joint] for log in logs]) for joint in range(len(position))])
+        low, high = (share * steps for share in _ROUNDING)
+        is_rounding = ((low < position) & (position < high)).all() and np.ptp(steps) <= _WHOLE * steps.max()
+        step = float(f"{steps[0]:.6g}") if is_rounding else 0.0
+        return cls(position, None if estimated else velocity, speed, step)
 
     @property
     def velocity_weight(self) -> float:
-        """Weight of squared velocity errors relative to squared position errors [s^2].
-
-        Ratio of the noise variances, as geometric mean over joints with noise; almost 0 for estimated velocities.
-        """
+        """Weight of squared velocity errors against squared position errors [s^2]; almost 0 if estimated."""
         if self.velocity is None:
             noise, reference, share = self.position, self.speed, _LITTLE
         else:
@@ -64,14 +65,6 @@ class Noise(NamedTuple):
         ratio = share * noise[counts] / reference[counts] if counts.any() else np.zeros(1)
         weight = float(np.exp(np.mean(np.log(np.square(np.maximum(ratio, 1e-12))))))
         return float(f"{weight:.3g}")
-
-
-def _find_step(logs: Sequence[Log], noise: Float[np.ndarray, "nv"]) -> float:
-    """Return the encoder step that all joints share [rad or m]; 0 without one, or if rounding is not the noise."""
-    steps = [find_step([log.qpos[:, joint] for log in logs]) for joint in range(len(noise))]
-    low, high = (share * np.array(steps) for share in _ROUNDING)
-    alike = max(steps) - min(steps) <= _WHOLE * max(steps)
-    return float(f"{steps[0]:.6g}") if alike and ((low < noise) & (noise < high)).all() else 0.0
 
 
 def find_step(columns: Sequence[Float[np.ndarray, "_"]]) -> float:

@@ -33,6 +33,9 @@ counts as doubtful even if a long log determines it."""
 _MOST_TRIES, _TOLERANCE = 40, 1e-5
 _ROLLOUTS = 64  # number of rollouts from which errors are measured
 _DISTURBED = 1e-3  # disturbance of initial velocities, as a share of a joint's RMS speed
+Coordinates = Float[np.ndarray, "coordinates"]
+States = Float[np.ndarray, "blocks segments twice_nv"]
+Errors = Float[np.ndarray, "segments time nv"]
 
 
 class PilotResult(NamedTuple):
@@ -42,29 +45,28 @@ class PilotResult(NamedTuple):
         labels: Name of each coordinate, as in `Space.labels`.
         half: Half width of each coordinate's 95 % interval; NaN if it has none.
         enough: Half width that is narrow enough: a small share of the value, or of its scale if that is larger.
-        at_bound: Whether each value ended at a bound.
         measured: Measured positions of the segments.
         states: Estimated initial states of the segments; None if none were estimated.
         sizes: `Objective.sizes` of the fit.
     """
 
     labels: list[str]
-    vector: Float[np.ndarray, "coordinates"]
-    half: Float[np.ndarray, "coordinates"]
-    enough: Float[np.ndarray, "coordinates"]
+    vector: Coordinates
+    half: Coordinates
+    enough: Coordinates
     at_bound: Bool[np.ndarray, "coordinates"]
     loss: float
-    measured: Float[np.ndarray, "segments time nv"]
-    states: Float[np.ndarray, "blocks segments twice_nv"] | None
+    measured: Errors
+    states: States | None
     sizes: Float[np.ndarray, "nv 2"] | None = None
 
     @classmethod
-    def begun(cls, labels: list[str], vector: Float[np.ndarray, "coordinates"]) -> "PilotResult":
+    def begun(cls, labels: list[str], vector: Coordinates) -> "PilotResult":
         """Return the start of a search: coordinates without intervals, loss and states."""
         unknown = np.full(len(vector), np.nan)
         return cls(labels, vector, unknown, unknown, np.zeros(len(vector), bool), np.inf, np.zeros((0, 0, 0)), None)
 
-    def states_of(self, segments: Segments) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
+    def states_of(self, segments: Segments) -> States | None:
         """Return the estimated initial states if these are the fitted segments, else None."""
         return self.states if np.array_equal(segments.qpos, self.measured) else None
 
@@ -78,7 +80,7 @@ class PilotResult(NamedTuple):
         by_label = dict(zip(self.labels, self.vector, strict=True))
         return np.array([by_label.get(label, value) for label, value in zip(labels, otherwise, strict=True)])
 
-    def in_halves(self, step: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+    def in_halves(self, step: Coordinates) -> Coordinates:
         """Return a step's size in half intervals; `enough` replaces narrower or missing ones."""
         return np.abs(step) / np.fmax(self.half, self.enough)
 
@@ -127,7 +129,7 @@ class Pilot:
         return self.objective.space
 
     @property
-    def start(self) -> Float[np.ndarray, "coordinates"]:
+    def start(self) -> Coordinates:
         """Initial coordinates of the physical parameters."""
         return np.asarray(self.space.start, np.float64)[: len(self.space.labels)]
 
@@ -185,25 +187,17 @@ class Pilot:
         change[moving] = -_solve(shifted, np.flatnonzero(moving))
         delta = equations.hessian @ change
         loss = float(equations.loss + 2 * change @ equations.gradient + change @ delta)
-        self._end = (
-            equations._replace(gradient=equations.gradient + delta),
-            scores + delta / len(scores),
-        )
+        self._end = (equations._replace(gradient=equations.gradient + delta), scores + delta / len(scores))
         with np.errstate(over="ignore"):  # a linear step of a logarithm may end at infinity, beyond all bounds
             predicted = self._conclude(vector + change, loss, moving, found.states)
         self._end = equations, scores
         return predicted
 
     def _moving(self, without: Collection[str]) -> Bool[np.ndarray, "coordinates"]:
-        """Return which coordinates do not belong to these bench parameters."""
         return np.array([label.partition("/")[0].removeprefix("bench.") not in without for label in self.space.labels])
 
     def _conclude(
-        self,
-        vector: Float[np.ndarray, "coordinates"],
-        loss: float,
-        moving: Bool[np.ndarray, "coordinates"],
-        states: Any,
+        self, vector: Coordinates, loss: float, moving: Bool[np.ndarray, "coordinates"], states: Any
     ) -> PilotResult:
         """Return the result at a vector whose `moving` coordinates were fitted; `_end` has the equations there."""
         half, (equations, scores) = np.full(len(vector), np.nan), self._end
@@ -239,7 +233,7 @@ class Pilot:
         near.objective = objective.approaching(other, self.whole(found))
         return near
 
-    def step(self, found: PilotResult) -> tuple[Float[np.ndarray, "coordinates"], float]:
+    def step(self, found: PilotResult) -> tuple[Coordinates, float]:
         """Return a Gauss-Newton step (0 for coordinates undetermined or at a bound), and the loss it predicts."""
         objective = self.objective.beginning(self.objective.begun)
         equations = objective.compile_normal_equations()(self.whole(found))
@@ -249,19 +243,19 @@ class Pilot:
         step[free] = -_solve(equations, places)
         return step, equations.loss + float(step[free] @ equations.gradient[places])
 
-    def whole(self, found: PilotResult) -> Float[np.ndarray, "coordinates"]:
+    def whole(self, found: PilotResult) -> Coordinates:
         """Return all coordinates; missing ones are 0 if optional, else the initial ones."""
         labels, start = self.space.labels, np.array(self.space.start, np.float64)
         optional = [label.partition("/")[0].removeprefix("bench.") in OPTIONAL for label in labels]
         start[: len(labels)] = found.among(labels, np.where(optional, 0.0, start[: len(labels)]))
         return start
 
-    def residuals(self, found: PilotResult) -> Float[np.ndarray, "segments time nv"]:
+    def residuals(self, found: PilotResult) -> Errors:
         """Return position errors in the fitted segments [rad or m], from estimated initial states if there are any."""
         qpos, _ = self.objective.beginning(found.states_of(self.segments)).predict(self.whole(found))
         return self._by_segment(qpos) - self.segments.qpos[:, 1:]
 
-    def _by_segment(self, qpos: Any) -> Float[np.ndarray, "segments time nv"]:
+    def _by_segment(self, qpos: Any) -> Errors:
         return np.asarray(qpos).reshape(-1, *qpos.shape[2:])[: self.segments.count]
 
     def errors(self, found: PilotResult, logs: Sequence[Log], horizon: float) -> Float[np.ndarray, "batch time nv"]:
@@ -290,7 +284,7 @@ class Pilot:
         return np.nan_to_num(np.median(growth.max(axis=2), axis=0), nan=np.inf)
 
 
-def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+def exact_enough(space: Space, vector: Coordinates) -> Coordinates:
     """Return `PilotResult.enough`; a step of a logarithm is already relative to the value."""
     logarithms = [space.params[label.partition("/")[0]].scale == "log" for label in space.labels]
     return _EXACT * np.where(logarithms, 1.0, np.fmax(1.0, np.abs(vector)))

@@ -20,12 +20,12 @@ from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.start import begin_where
-from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.pilot import Pilot
 from frictionzoo.identification.recipe import Parts
 from frictionzoo.result.evaluate import Evaluator
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.record import describe_data
+from frictionzoo.result.section_types import AutomaticSetting
 from frictionzoo.result.torque import choose_filtering
 from frictionzoo.simulation.drive import Drive
 from frictionzoo.simulation.proof import Proof, Recorded, initial_values, prove
@@ -42,7 +42,6 @@ class Problem:
         sampling: Mapping from recorded samples to simulation steps.
         segments: Training segments that the fit compares.
         drive: The bench with the chosen friction model.
-        proof: Verification against MuJoCo C.
         samples: Inputs of the friction model in the training samples.
         seconds: Time to build the problem [s].
         links: Link inertias identified before the fit, which the bench has; None if there are none.
@@ -64,17 +63,13 @@ class Problem:
     settings: Mapping[str, Any]
     seconds: float
     links: LinkInertia | None = None
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[AutomaticSetting, ...] = ()
     pilot: Pilot | None = None
     measured: "Problem | None" = None
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
-        """Build the problem that the settings describe, in the current `computing` context.
-
-        Raises:
-            FrictionzooError: The input is at fault.
-        """
+        """Build the problem that the settings describe, in the current `computing` context; see `pose`."""
         return cls.pose(Parts.from_settings(settings))
 
     @classmethod

@@ -7,13 +7,14 @@ import json
 import logging
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import safetensors
 import safetensors.numpy
+from msgspec.structs import astuple
 
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
@@ -32,14 +33,14 @@ from frictionzoo.data.pairing import describe_columns
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit
-from frictionzoo.identification.choices import OPTIONAL, Choice, widen_bounds
-from frictionzoo.identification.lengths import fit_lengths
+from frictionzoo.identification.choices import OPTIONAL, fit_lengths, widen_bounds
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.identification.stages import Stages
 from frictionzoo.identification.trials import put
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.record import describe_data
+from frictionzoo.result.section_types import AutomaticSetting
 from frictionzoo.simulation.context import computing, refuse_precision
 from frictionzoo.simulation.drive import refuse_other_joints
 
@@ -72,7 +73,7 @@ class Parts:
     model: FrictionModel
     fit: Fit
     doubts: list[Finding]
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[AutomaticSetting, ...] = ()
     start: PilotResult | None = None
     pilot: Pilot | None = None
     seconds: float = 0.0
@@ -177,7 +178,7 @@ class Parts:
         text = {
             "identity": identity,
             "options": {key: value for key, value in list_options(chosen.settings) if before.get(key) != value},
-            "choices": chosen.choices[len(self.choices) :],
+            "choices": [*map(astuple, chosen.choices[len(self.choices) :])],
             "doubts": [doubt.text for doubt in chosen.doubts[len(self.doubts) :]],
             "labels": start and start.labels,
             "loss": start and start.loss,
@@ -198,7 +199,9 @@ class Parts:
                 arrays: dict[str, Any] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 header = file.metadata() or {}
             stored, whole = json.loads(header[_TEXT]), header["sha256"] == _sign(header[_TEXT], arrays)
-            fits = whole and stored["identity"] == identity and {*stored["options"]} <= {*_list_open(self.settings)}
+            open_options = {option for option, value in list_options(self.settings) if value == AUTO}
+            inits = {f"{each.removesuffix('identify')}init" for each in open_options if each.endswith(".identify")}
+            fits = whole and stored["identity"] == identity and {*stored["options"]} <= open_options | inits
         except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError):
             fits = False
         if not fits:
@@ -214,13 +217,12 @@ class Parts:
             self,
             settings=settings,
             bench=remake(self.bench, **section),
-            choices=(*self.choices, *(Choice(*choice) for choice in stored["choices"])),
+            choices=(*self.choices, *(AutomaticSetting(*choice) for choice in stored["choices"])),
             doubts=[*self.doubts, *(Finding("caution", "timestep", text) for text in stored["doubts"])],
             start=start,
         )
 
     def _identify(self) -> str:
-        """Return the SHA-256 of everything that the automatic settings depend on."""
         state = {name: value.numpy() for name, value in self.model.state_dict().items()}
         values = self.bench.initial_values()
         facts = {
@@ -234,7 +236,6 @@ class Parts:
 
 
 def _sign(text: str, arrays: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of the file's content, to detect damage."""
     return hashlib.sha256(f"{text}{digest(dict(sorted(arrays.items())))}".encode()).hexdigest()
 
 
@@ -269,12 +270,3 @@ def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float)
     if timestep is None:
         settings = {**settings, "bench": {**settings["bench"], "timestep": step}}
     return remake(bench, timestep=step), settings
-
-
-def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the open options, and the initial values of optional parameters."""
-    for option, value in list_options(settings):
-        if value == AUTO:
-            yield option
-            if option.endswith(".identify"):
-                yield f"{option.removesuffix('identify')}init"

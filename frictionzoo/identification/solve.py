@@ -1,24 +1,27 @@
-"""Solution of an identification problem: fit, uncertainty and evaluation."""
+"""Solution of an identification problem: fit, uncertainty and evaluation; once more with other recordings."""
 
 import copy
 import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
 from jaxtyping import Float
+from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_settings, create_literal, keep_caches_at_home
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.telling import tell
 from frictionzoo.data.cache import cache_folder
-from frictionzoo.fit import Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
-from frictionzoo.fit.base import Fit
+from frictionzoo.data.logs import Logs
+from frictionzoo.fit import Fit, Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.loop import FitFiles
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.posterior import Fitted
@@ -26,6 +29,7 @@ from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.commands import Origin, suggest_commands
 from frictionzoo.identification.pilot import halve_step, in_other_steps
 from frictionzoo.identification.problem import Problem
+from frictionzoo.identification.recipe import Parts
 from frictionzoo.models import Baseline
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.draws import draw_parameters
@@ -35,7 +39,7 @@ from frictionzoo.result.portrait import DRAWS, Rows, portray, sample_friction
 from frictionzoo.result.record import build_result
 from frictionzoo.result.residual_torque import Left, find_left
 from frictionzoo.result.residuals import describe_residual
-from frictionzoo.result.section_types import AutomaticSetting, FitRecord, Residual, Timing, Torque
+from frictionzoo.result.section_types import FitRecord, Residual, Timing, Torque
 from frictionzoo.result.torque import choose_filtering, measure_torque
 from frictionzoo.result.types import EvaluationRollouts, Result
 from frictionzoo.simulation import Values
@@ -46,6 +50,9 @@ _log = logging.getLogger(__name__)
 LATE = 0.1  # share of the iterations at the end in which a parameter must not move
 MOVING = 1 / 3  # of half its interval; larger moves are reported
 MOVING_BLINDLY = 0.01  # of its value, if it has no interval
+_CHECKED = ("segments", "loss", "evaluation", "loop", "scale", "checkup", "discretisation", "seed")
+_CHECKED += ("dtype", "engine", "device", "compilation_cache", "threads")
+"""Settings that another identification of a drive takes from its run."""
 
 
 def solve(
@@ -104,7 +111,7 @@ def solve(
             evaluate=(ended := time.perf_counter()) - evaluation_began,
             total=problem.seconds + ended - began,
         ),
-        recipe=[AutomaticSetting(*choice) for choice in problem.choices],
+        recipe=list(problem.choices),
         engine=problem.drive.engine.name,
         proof=problem.proof,
         warnings=[doubt.text for doubt in problem.doubts],
@@ -137,10 +144,8 @@ def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curve
 def finer(problem: Problem) -> Callable[[Float[np.ndarray, "coordinates"]], Objective] | None:
     """Return a function that makes the objective near a vector with half the timestep.
 
-    None if `discretisation` is false, or if the fit minimises an objective without rollouts.
-
-    Raises:
-        ConfigError: `discretisation` is neither true nor false.
+    None if `discretisation` is false, or if the fit minimises an objective without rollouts; ConfigError as
+    `is_wanted`.
     """
     by_rollouts = type(problem.fit).compile_scores is Fit.compile_scores
     if not (is_wanted(problem.settings["discretisation"]) and by_rollouts):
@@ -157,11 +162,7 @@ def finer(problem: Problem) -> Callable[[Float[np.ndarray, "coordinates"]], Obje
 
 
 def is_wanted(asked: Any) -> bool:
-    """Return whether the result is checked with half the timestep.
-
-    Raises:
-        ConfigError: `discretisation` is neither true nor false.
-    """
+    """Return whether the result is checked with half the timestep; ConfigError if this is neither true nor false."""
     if not isinstance(asked, bool):
         raise ConfigError(f"discretisation={asked}: expected true or false")
     return asked
@@ -287,3 +288,29 @@ def still_falling(loss: Float[np.ndarray, "iterations"]) -> float:
     finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
     before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
     return max(0.0, 1 - float(finite.min() / before)) if np.isfinite(before) and before > 0 else 0.0
+
+
+def repeat_fit(drive: FittedDrive, logs: Logs) -> FittedDrive:
+    """Identify a drive again from other recordings, starting at its values, with the settings of its run.
+
+    Automatic settings stay as the run chose them: step, segments, loss, known values and optional parameters.
+    Link inertia and gravity stay as the run identified them.
+
+    Raises:
+        FrictionzooError: The recordings do not fit the drive or have a definite fault, or a setting is invalid.
+    """
+    settings = {**_settle(drive.result.settings), "data": dict(logs.section)}
+    bench, fit = drive.bench.begun(drive.values["bench"]), build(settings["fit"], Fit)
+    parts = Parts.settle(settings, bench, logs.divide(), copy.deepcopy(drive.model), fit)
+    with parts.computing() as device:
+        return solve(Problem.pose(parts), drive.result.model, device)
+
+
+def _settle(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run's settings, checked because they may be a stranger's, without searches before the fit."""
+    saved = keep_caches_at_home(saved)
+    chosen = create_literal({name: saved[name] for name in _CHECKED if name in saved})
+    settings = compose_settings(cast(dict[str, Any], OmegaConf.to_container(chosen)), "recipe=given")
+    fit = dict(saved["fit"])
+    fit |= {name: value for name, value in {"start": None, "links": [], "tilt": False}.items() if name in fit}
+    return {**settings, "bench": saved["bench"], "model": saved["model"], "fit": fit, "logger": None}

@@ -10,8 +10,7 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.core.telling import tell
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit.loss import soft_width
-from frictionzoo.identification.choices import OPTIONAL, RIVALS, imply
-from frictionzoo.identification.lengths import FEWEST
+from frictionzoo.identification.choices import FEWEST, OPTIONAL, RIVALS, imply
 from frictionzoo.identification.noise import Misfit
 from frictionzoo.identification.pilot import Pilot, PilotResult, halve_step
 from frictionzoo.identification.trials import COARSEST, MOST_STEPS, Trials, put
@@ -49,13 +48,12 @@ class Stages(Trials):
         """Run the stages that need no fit: implied options, precision, weights and segments."""
         for choice in list(imply(self._given["loss"])):
             if self._is_open(choice.option):
-                self._choose(*choice)
+                self._choose(choice.option, choice.value, choice.reason)
                 put(self._given, choice.option, choice.value)  # later stages treat it as given
         self._weigh()
         self._choose_segments()
 
     def _weigh(self) -> None:
-        """Choose precision, integration order and weights."""
         second_order = self.settings["bench"].get("second_order")
         reason = f"parameters are valid {'in continuous time' if second_order else 'for this timestep'}"
         self._choose("bench.second_order", second_order, reason)
@@ -141,13 +139,11 @@ class Stages(Trials):
         self._choose("loss.refine", True, refine_reason)
 
     def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
-        """Fit a pilot, starting at the last result."""
         count = len(pilot.space.labels)
         tell(f"automatic settings: fitting {count} parameters in steps of {1e3 * self._first_step:.3g} ms")
         self._found, self._last = pilot.fit(self._found, self._out, thorough), pilot
 
     def _look(self, pilot: Pilot) -> Misfit:
-        """Return the misfit of a pilot at the last result."""
         return self._measure(pilot.residuals(self._found))
 
     def _measure(self, errors: Float[np.ndarray, "batch time nv"]) -> Misfit:

@@ -23,11 +23,11 @@ from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
-from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, is_open
-from frictionzoo.identification.lengths import FEWEST
+from frictionzoo.identification.choices import FEWEST, OPTIONAL, RIVALS, is_open
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.models import FrictionModel, TorchFriction
+from frictionzoo.result.section_types import AutomaticSetting
 
 _log = logging.getLogger(__name__)
 _MANY = 10  # segments at least: the spread between them gives the intervals
@@ -45,7 +45,7 @@ class Trials:
         self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
     ) -> None:
         self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
-        self.choices: list[Choice] = []
+        self.choices: list[AutomaticSetting] = []
         self.doubts: list[Finding] = []
         self.start: PilotResult | None = None
         self.pilot: Pilot | None = None  # with the chosen settings
@@ -122,7 +122,7 @@ class Trials:
         """Set an option if it is open, and record the choice."""
         if self._is_open(option):
             put(self.settings, option, value)
-            self.choices.append(Choice(option, value, reason))
+            self.choices.append(AutomaticSetting(option, value, reason))
             _log.info("%s", self.choices[-1])
 
     def _pilot(self, most_steps: float = _FIRST_STEPS, **given: Any) -> Pilot:
@@ -190,7 +190,6 @@ class Trials:
         return self._validated[key]
 
     def _change(self, **options: Any) -> dict[str, Any]:
-        """Set options of the bench; return the previous section."""
         before = self.settings["bench"]
         self.settings["bench"] = {**before, **options}
         return before
@@ -203,7 +202,6 @@ class Trials:
 
     @property
     def _step(self) -> float:
-        """Simulation timestep [s]."""
         step = self.settings["bench"].get("timestep")
         return self._plain.timestep if step in (None, AUTO) else step
 

@@ -63,12 +63,11 @@ def attribute(
     """
     explained: list[Contribution] = []
     count = joints * sum(candidate.tried for candidate in candidates.values())
-    remaining, total = dict(candidates), _left_by(known, error)
+    remaining, basis = dict(candidates), _orthogonal(known)
+    total = max(float(error @ error - np.square(basis.T @ error).sum()), 1e-300)  # not explained by known columns
     while remaining and len(explained) < MOST:
         before = [entry.name for entry in explained]
-        trials = [
-            _try(error, known, name, entry, count, total, usual(name, before)) for name, entry in remaining.items()
-        ]
+        trials = (_try(error, known, n, entry, count, total, usual(n, before)) for n, entry in remaining.items())
         significant = [entry for entry in trials if entry is not None]
         if not significant:
             break
@@ -107,12 +106,6 @@ def correlation(error: Column) -> float:
 def excess(error: Column) -> float:
     """Return the excess kurtosis; 0 for normal noise."""
     return float(scipy.stats.kurtosis(error)) if np.ptp(error) > 0 else 0.0
-
-
-def _left_by(known: Columns, error: Column) -> float:
-    """Return the sum of squares that the known columns do not explain."""
-    basis = _orthogonal(known)
-    return max(float(error @ error - np.square(basis.T @ error).sum()), 1e-300)
 
 
 def _try(
@@ -159,7 +152,6 @@ def _chance(error: Column, columns: Columns, stretch: Int[np.ndarray, "rows"]) -
 
 
 def _held_out(error: Column, columns: Columns, folds: Int[np.ndarray, "rows"]) -> float:
-    """Return the cross-validated sum of squares that orthonormal columns do not explain."""
     squares = 0.0
     for fold in range(FOLDS):
         held_out = folds == fold
@@ -175,7 +167,6 @@ def _beyond(columns: Columns, basis: Columns) -> Columns:
 
 
 def _orthogonal(columns: Columns) -> Columns:
-    """Return an orthonormal basis of the space that columns span."""
     if not columns.shape[1] or not np.any(columns):
         return np.zeros((len(columns), 0))
     basis, sizes, _ = np.linalg.svd(columns / _sizes(columns), full_matrices=False)

@@ -83,9 +83,7 @@ class Card(Record):
 
 
 def open_card(folder: Path, result: Record) -> dict[str, Any]:
-    """Verify the files of a card, which may come from a stranger, and return its settings with the template's path.
-
-    `result` is its `result.json`.
+    """Verify a card's files, perhaps a stranger's, against its `result`; return settings with the template's path.
 
     Raises:
         RunError: A file is missing or was edited, the bench is of another kind, or the template refers to other files.

@@ -92,11 +92,7 @@ _ARRAYS = tuple(each.name for each in fields(Curves) if each.name not in _NAMED)
 
 
 def write_curves(folder: Path, curves: Curves) -> None:
-    """Write `curves.safetensors` into a run's folder.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Write `curves.safetensors` into a run's folder; OutputError if it cannot be written."""
     arrays = {name: getattr(curves, name) for name in _ARRAYS} | curves.signals.named()
     arrays |= {f"{_HISTORY}{name}": values for name, values in curves.history.items()}
     arrays |= {
@@ -107,11 +103,7 @@ def write_curves(folder: Path, curves: Curves) -> None:
 
 
 def read_curves(folder: Path) -> Curves:
-    """Read `curves.safetensors` of a run.
-
-    Raises:
-        RunError: The file is missing, damaged or of another version.
-    """
+    """Read `curves.safetensors` of a run; RunError if the file is missing, damaged or of another version."""
     path = folder / FILE
     try:
         arrays: dict[str, Any] = safetensors.numpy.load(path.read_bytes())

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import scipy.special
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import ConfigError, RunError, closest
@@ -17,11 +17,14 @@ from frictionzoo.fit.uncertainty import LEVEL, Covariance
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import Result
-from frictionzoo.result.values import ParameterArrays, read_parameters
+from frictionzoo.result.values import read_parameters
 from frictionzoo.simulation.context import computing
 
+Draws = Float[np.ndarray, "count nv"]
+Positions = Float[np.ndarray, "batch time nv"]
 
-class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
+
+class Posterior(dict[str, Draws]):
     """Draws of each parameter by full name, in its unit, with convergence diagnostics of the chains.
 
     Attributes:
@@ -31,7 +34,7 @@ class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
         divergences: Number of samples whose sampler step diverged.
     """
 
-    def __init__(self, draws: Mapping[str, Float[np.ndarray, "count nv"]], chains: Chains) -> None:
+    def __init__(self, draws: Mapping[str, Draws], chains: Chains) -> None:
         super().__init__(draws)
         self.rhat: dict[str, float] = chains.rhat
         self.effective: dict[str, float] = chains.effective
@@ -40,7 +43,7 @@ class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
 
 def draw_parameters(
     place: str, result: Result, bench: Bench, model: FrictionModel, count: int, seed: int
-) -> dict[str, Float[np.ndarray, "count nv"]]:
+) -> dict[str, Draws]:
     """Draw joint values, within the bounds, of the parameters that the data determine, by full name.
 
     `place` names the drive in messages.
@@ -49,11 +52,18 @@ def draw_parameters(
         ConfigError: `count` is below 1.
         RunError: No parameter has an interval.
     """
-    drawn, draws = _draw(_read_covariance(place, result, count), bench, model, count, seed), {}
+    covariance = _read_covariance(place, result, count)
+    with jax.enable_x64(True):
+        space = Space(bench, model, "float64")
+    vectors = np.repeat(np.asarray(space.start, np.float64)[:, None], count, axis=1)
+    indices = [space.labels.index(label) for label in covariance.labels]
+    vectors[indices] = covariance.draw(count, np.random.default_rng(seed)).T
+    with np.errstate(over="ignore"):  # after a diverged fit; the values are clipped to the bounds
+        drawn, draws = space.physical(vectors), {}
     for name, parameter in read_parameters(result, bench.nv).items():
-        determined = _determined(parameter, bench)
-        if determined.any():
-            draws[name] = np.where(determined, drawn[name], parameter.value)
+        joints = [joint for row in parameter.by_joint if row.identifiable for joint in row.joints]
+        if joints:
+            draws[name] = np.where(np.isin(bench.joints, joints), drawn[name].T, parameter.value)
     return draws
 
 
@@ -95,24 +105,6 @@ def _read_covariance(place: str, result: Result, count: int) -> Covariance:
     return Covariance(tuple(row.labels), np.array(row.centre), np.array(row.matrix), row.freedom)
 
 
-def _draw(
-    covariance: Covariance, bench: Bench, model: FrictionModel, count: int, seed: int
-) -> dict[str, Float[np.ndarray, "count nv"]]:
-    """Draw all identified parameters; those without an interval get their initial values."""
-    with jax.enable_x64(True):
-        space = Space(bench, model, "float64")
-    vectors = np.repeat(np.asarray(space.start, np.float64)[:, None], count, axis=1)
-    indices = [space.labels.index(label) for label in covariance.labels]
-    vectors[indices] = covariance.draw(count, np.random.default_rng(seed)).T
-    with np.errstate(over="ignore"):  # after a diverged fit; the values are clipped to the bounds
-        return {name: values.T for name, values in space.physical(vectors).items()}
-
-
-def _determined(parameter: ParameterArrays, bench: Bench) -> Bool[np.ndarray, "nv"]:
-    joints = [joint for row in parameter.by_joint if row.identifiable for joint in row.joints]
-    return np.isin(bench.joints, joints)
-
-
 def put_values(
     values: Mapping[str, Mapping[str, Any]],
     drawn: Mapping[str, Float[np.ndarray, "nv"] | float],
@@ -136,7 +128,6 @@ def put_values(
 
 
 def _of_joints(full: str, own: Any, param: Param, nv: int) -> Float[np.ndarray, "members"]:
-    """Return the checked values of the joints that have the parameter."""
     array = np.asarray(own)
     if array.dtype.kind not in "iuf" or array.shape not in ((), (nv,)):
         raise ConfigError(
@@ -156,14 +147,14 @@ def _of_joints(full: str, own: Any, param: Param, nv: int) -> Float[np.ndarray, 
 class PredictionInterval(NamedTuple):
     """Ends of the position's prediction interval [rad or m], from the first sample after each rollout's start."""
 
-    low: Float[np.ndarray, "batch time nv"]
-    high: Float[np.ndarray, "batch time nv"]
+    low: Positions
+    high: Positions
 
 
 def predict_band(
     place: str,
-    simulate: Callable[[Mapping[str, Float[np.ndarray, "nv"]]], Float[np.ndarray, "batch time nv"]],
-    draws: Mapping[str, Float[np.ndarray, "count nv"]],
+    simulate: Callable[[Mapping[str, Float[np.ndarray, "nv"]]], Positions],
+    draws: Mapping[str, Draws],
     curves: Curves,
 ) -> PredictionInterval:
     """Predict the 95 % interval of each measured position.
@@ -185,14 +176,16 @@ def predict_band(
     Raises:
         RunError: Fewer than two training rollouts have errors.
     """
-    if len(curves.train_errors) < 2:
+    kept, length = curves.train_errors.shape[:2]
+    if kept < 2:
         raise RunError(
-            f"{place}: {len(curves.train_errors)} training rollouts of the evaluation stayed finite, expected 2 at "
+            f"{place}: {kept} training rollouts of the evaluation stayed finite, expected 2 at "
             "least, better 40; set evaluation.rollouts, and run it again"
         )
-    errors = curves.train_errors * _widening(len(curves.train_errors))
+    upper = (1 + LEVEL) / 2
+    student_to_normal = scipy.special.stdtrit(kept - 1, upper) / scipy.special.ndtri(upper)
+    errors = curves.train_errors * float(student_to_normal * np.sqrt(1 + 1 / kept))
     count = max((len(values) for values in draws.values()), default=1)
-    length = errors.shape[1]
     drives = [simulate({name: values[number] for name, values in draws.items()})[:, :length] for number in range(count)]
     drives = [drive for drive in drives if np.isfinite(drive).all()] or drives
     share = (1 - LEVEL) / 2
@@ -200,11 +193,4 @@ def predict_band(
         np.quantile(positions[:, None] - errors[None, :, : positions.shape[1]], [share, 1 - share], axis=(0, 1))
         for positions in np.stack(drives, axis=1)
     ]
-    low, high = np.stack(ends, axis=1)
-    return PredictionInterval(low, high)
-
-
-def _widening(count: int) -> float:
-    """Return the ratio of prediction interval widths: standard deviation estimated from `count` numbers, or known."""
-    upper = (1 + LEVEL) / 2
-    return float(scipy.special.stdtrit(count - 1, upper) / scipy.special.ndtri(upper) * np.sqrt(1 + 1 / count))
+    return PredictionInterval(*np.stack(ends, axis=1))

@@ -71,10 +71,7 @@ def _predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> l
 
 
 def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metrics:
-    """Compute the errors of simulated against measured states; `joint_type` is `hinge` or `slide`.
-
-    An error is NaN if all rollouts diverged.
-    """
+    """Return the errors of simulated against measured states (NaN: all diverged) of `hinge` or `slide` joints."""
     units: Any = UNITS[joint_type]
     kept = ~prediction.diverged
     mae = rollout_mae(prediction, segments)[kept]
@@ -92,13 +89,11 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
 
 
 def _measure_joints(prediction: Prediction, segments: Segments) -> tuple[JointErrors, ...]:
-    """Compute the errors of simulated against measured states of each joint."""
     kept = ~prediction.diverged
-    position = prediction.qpos[kept] - segments.qpos[kept, 1:]
-    velocity = prediction.qvel[kept] - segments.qvel[kept, 1:]
+    pairs = (prediction.qpos, segments.qpos), (prediction.qvel, segments.qvel)
+    errors = (np.moveaxis(simulated[kept] - measured[kept, 1:], 2, 0) for simulated, measured in pairs)
     return tuple(
-        JointErrors(float(np.abs(q).mean()) if q.size else np.nan, rms(q), rms(v))
-        for q, v in zip(np.moveaxis(position, 2, 0), np.moveaxis(velocity, 2, 0), strict=True)
+        JointErrors(float(np.abs(q).mean()) if q.size else np.nan, rms(q), rms(v)) for q, v in zip(*errors, strict=True)
     )
 
 
@@ -108,11 +103,6 @@ def rollout_mae(prediction: Prediction, segments: Segments) -> Float[np.ndarray,
     return np.where(prediction.diverged, np.nan, error.mean(axis=(1, 2)))
 
 
-def _keep_errors(prediction: Prediction, segments: Segments) -> Float[np.ndarray, "kept time nv"]:
-    errors = (prediction.qpos - segments.qpos[:, 1:])[~prediction.diverged]
-    return errors[np.unique(np.linspace(0, len(errors) - 1, KEPT).astype(int))] if len(errors) else errors
-
-
 def rms(error: Float[np.ndarray, "..."]) -> float:
     """Return the root mean square; NaN if there is no value."""
     return float(np.sqrt(np.square(error).mean())) if error.size else np.nan
@@ -120,18 +110,17 @@ def rms(error: Float[np.ndarray, "..."]) -> float:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Errors of one drive in all rollouts of the evaluation.
+    """Errors of one drive in all rollouts of the evaluation, in positions [rad or m].
 
     Attributes:
         by_horizon: Metrics of each horizon, main horizon first, for the parts `train` and `test`.
         by_joint: Errors of each joint at the main horizon, by part.
-        rollout_mae: Position MAE of each rollout of the main horizon, by part [rad or m].
+        rollout_mae: Position MAE of each rollout of the main horizon, by part.
         trajectory: Metrics of the paper's evaluation (a): one long test rollout.
         places: Metrics of the paper's evaluation (b): test rollouts from random starts.
         prediction: Simulated states of the long test rollouts, evaluation (a) first.
-        local_mae: Position MAE of each short rollout over the whole test part [rad or m].
-        train_errors: Simulated minus measured position in at most `KEPT` finite training rollouts, main horizon [rad or
-            m].
+        local_mae: Position MAE of each short rollout over the whole test part.
+        train_errors: Simulated minus measured position in at most `KEPT` finite training rollouts, main horizon.
     """
 
     by_horizon: tuple[Mapping[str, Metrics], ...]
@@ -218,11 +207,14 @@ class Evaluator:
         self.local: Segments = cut("local", local, None, "consecutive")
 
     @property
+    def _cut(self) -> list[Segments]:
+        return [segments for parts in self._by_horizon for segments in parts.values()]
+
+    @property
     def sha256(self) -> str:
         """Hash of states, commands, inputs and payloads of all windows; equal for drives with the same rollouts."""
-        cut = [segments for parts in self._by_horizon for segments in parts.values()]
         digest = hashlib.sha256()
-        for segments in (*cut, self.trajectories, self._places, self.local):
+        for segments in (*self._cut, self.trajectories, self._places, self.local):
             loads = (segments.loads,) if segments.loads.size else ()
             acting = segments.acting  # without signals that only friction models read: they differ between models
             driven = np.concatenate([acting.ctrl, *acting.inputs.values()], axis=2)
@@ -232,12 +224,13 @@ class Evaluator:
 
     def judge(self, rollout: Rollout, values: Values) -> Judgement:
         """Simulate every window with one drive and measure its errors."""
-        cut = [segments for parts in self._by_horizon for segments in parts.values()]
-        long, places, local, *others = _predict_all(
-            rollout, values, [self.trajectories, self._places, self.local, *cut]
-        )
-        pairs, unit = zip(others, cut, strict=True), self.joint_type
+        windows = [self.trajectories, self._places, self.local, *self._cut]
+        long, places, local, *others = _predict_all(rollout, values, windows)
+        pairs, unit = zip(others, self._cut, strict=True), self.joint_type
         predicted = [{part: next(pairs) for part in parts} for parts in self._by_horizon]
+        training, measured = predicted[0]["train"]
+        errors = (training.qpos - measured.qpos[:, 1:])[~training.diverged]
+        kept = np.unique(np.linspace(0, max(len(errors) - 1, 0), KEPT).astype(int))[: len(errors)]
         return Judgement(
             by_horizon=tuple({part: measure(*pair, unit) for part, pair in parts.items()} for parts in predicted),
             by_joint={part: _measure_joints(*pair) for part, pair in predicted[0].items()},
@@ -246,7 +239,7 @@ class Evaluator:
             places=measure(places, self._places, unit),
             prediction=long,
             local_mae=rollout_mae(local, self.local),
-            train_errors=_keep_errors(*predicted[0]["train"]),
+            train_errors=errors[kept],
         )
 
 

@@ -43,6 +43,7 @@ from frictionzoo.simulation.rollout import applied, make_observer
 
 PARTS = "train", "test", "baseline"
 _Drive = TypeVar("_Drive", bound="FittedDrive")
+Positions = Float[np.ndarray, "batch time nv"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,7 +157,7 @@ class FittedDrive:
         segments = self.recorded if segments is None else segments
         draws = self.sample(count, seed) if self.result.covariance else {}
 
-        def simulate(drawn: Mapping[str, Float[np.ndarray, "nv"]]) -> Float[np.ndarray, "batch time nv"]:
+        def simulate(drawn: Mapping[str, Float[np.ndarray, "nv"]]) -> Positions:
             return self.rollout(segments, values=self.with_values(drawn))[0]
 
         return predict_band(self.place, simulate, draws, self.curves)
@@ -168,9 +169,8 @@ class FittedDrive:
             ConfigError: A parameter is unknown; or a value has the wrong shape, is not finite, or is negative although
                 the lower bound is not.
         """
-        return put_values(
-            self.values, drawn, {"bench": self.bench.params, "friction": self.model.params}, self.bench.nv
-        )
+        params = {"bench": self.bench.params, "friction": self.model.params}
+        return put_values(self.values, drawn, params, self.bench.nv)
 
     @property
     def metrics(self) -> dict[str, Metrics]:
@@ -189,11 +189,7 @@ class FittedDrive:
 
     @property
     def recorded(self) -> Segments:
-        """Long test rollouts.
-
-        Raises:
-            RunError: The drive comes from a card, which has no recordings.
-        """
+        """Long test rollouts; RunError if the drive comes from a card, which has no recordings."""
         if not self.segments.count:
             raise RunError(
                 f"{self.place}: a card without recordings, expected segments or a run's folder; give "
@@ -243,12 +239,12 @@ class FittedDrive:
             return Prediction(*self.rollout())
         return Prediction(*map(self._pick, self.origin.rollout(hold(self.origin.recorded, self._every))))
 
-    def find_residual(self) -> Float[np.ndarray, "batch time nv"]:
+    def find_residual(self) -> Positions:
         """Return measured minus simulated positions of the original drive, in its simulation steps [rad or m]."""
         origin = self.origin or self
         return self._pick(origin.recorded.qpos[:, 1:] - origin.rollout()[0])
 
-    def find_errors(self, qpos: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch time nv"]:
+    def find_errors(self, qpos: Positions) -> Positions:
         """Return measured minus simulated positions of the long test rollouts in a simulator [rad or m].
 
         A simulator that keeps only every n-th sample holds commands longer than the recording did; the resulting change
@@ -261,13 +257,12 @@ class FittedDrive:
         """Number of recorded samples per sample of the drive."""
         return max(1, round(self.segments.timestep / (self.origin or self).segments.timestep))
 
-    def _pick(self, rows: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch samples nv"]:
-        """Pick the rows at the drive's samples."""
+    def _pick(self, rows: Positions) -> Float[np.ndarray, "batch samples nv"]:
         return rows[:, self._every - 1 :: self._every][:, : self.segments.length]
 
     def rollout(
         self, segments: Segments | None = None, timestep: float | None = None, values: Values | None = None
-    ) -> tuple[Float[np.ndarray, "batch time nv"], Float[np.ndarray, "batch time nv"]]:
+    ) -> tuple[Positions, Positions]:
         """Simulate the drive in float64; return qpos and qvel after each sample interval.
 
         Args:
@@ -280,9 +275,8 @@ class FittedDrive:
         with jax.enable_x64(True):
             start = segments.qpos[:, 0], segments.qvel[:, 0]
             parameters = drive.jax_values if values is None else values
-            states = drive._drive.rollout.compiled(parameters, *start, segments.signals, segments.load)
-            qpos, qvel = (np.array(part, np.float64) for part in states)
-        return qpos, qvel
+            qpos, qvel = drive._drive.rollout.compiled(parameters, *start, segments.signals, segments.load)
+            return np.array(qpos, np.float64), np.array(qvel, np.float64)
 
     def follow(self, segments: Segments, values: Values | None = None) -> Segments:
         """Return the segments with simulated states in place of measured ones after the first state.

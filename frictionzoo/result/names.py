@@ -46,14 +46,10 @@ def merge_known(rows: Sequence[Value]) -> list[Value]:
     merged: dict[Any, list[Value]] = {}
     for row in rows:
         merged.setdefault(row.name if row.identified else row.value, []).append(row)
-    return [
-        replace(
-            entries[0],
-            name=name_first([row.name for row in entries]),
-            joints=[j for row in entries for j in row.joints],
-        )
-        for entries in merged.values()
-    ]
+    names = [name_first([row.name for row in entries]) for entries in merged.values()]
+    joints = [[joint for row in entries for joint in row.joints] for entries in merged.values()]
+    pairs = zip(merged.values(), names, joints, strict=True)
+    return [replace(entries[0], name=name, joints=members) for entries, name, members in pairs]
 
 
 def name_first(names: Sequence[str]) -> str:

@@ -31,15 +31,12 @@ class Seen(NamedTuple):
     """Motion, torques and temperature of a joint in each sample.
 
     Attributes:
-        qpos: Position [rad or m].
-        qvel: Velocity [rad/s or m/s].
         motor: Actuator torque that the model needs for the motion [N m or N]: the applied torque correlates with any
             error.
         external: Torque of everything but actuator and friction [N m or N].
         since: Time since the last reversal of the motion [s].
         asked: Torque commanded according to the actuator model [N m or N].
         begins: First sample of each log.
-        timestep: Sample interval [s].
         temperature: Temperature [degC]; None: not recorded.
     """
 
@@ -56,14 +53,13 @@ class Seen(NamedTuple):
 
 def time_since_reversal(signal: Signal, begins: Int[np.ndarray, "logs"], timestep: float) -> Signal:
     """Return the time since a signal, such as a velocity, last changed its sign or its log began [s]."""
-    reversals = np.flatnonzero(np.diff(np.sign(signal), prepend=0.0))
     last = np.zeros(len(signal), int)
-    last[np.union1d(reversals, begins)] = np.union1d(reversals, begins)
+    resets = np.union1d(np.flatnonzero(np.diff(np.sign(signal), prepend=0.0)), begins)
+    last[resets] = resets
     return timestep * (np.arange(len(signal)) - np.maximum.accumulate(last))
 
 
 def _list_factors(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]:
-    """Yield name and functions of each residual factor, the simplest first."""
     side, speed = np.sign(seen.qvel), np.abs(seen.qvel)
     share = speed / max(float(np.sqrt(np.mean(np.square(speed)))), 1e-300)
     plain = [side, side * share]
@@ -76,7 +72,8 @@ def _list_factors(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]
     yield "direction", _stack(np.ones_like(side), share)
     loads = seen.motor, seen.external, seen.motor - seen.external
     yield "load", _stack(*(side * np.abs(load) for load in loads))
-    shapes = _polynomials(seen.qpos)
+    span = (2 * seen.qpos - seen.qpos.min() - seen.qpos.max()) / max(float(np.ptp(seen.qpos)), 1e-300)
+    shapes = np.polynomial.legendre.legvander(span, 3)[:, 1:]  # of orders 1 to 3
     yield "position", side[:, None] * shapes
     yield PULL, shapes
     if seen.temperature is not None and np.ptp(seen.temperature) > 0:
@@ -91,7 +88,7 @@ def near_crossings(seen: Seen, at: Int[np.ndarray, "rows"]) -> Bool[np.ndarray, 
     if not len(crossings):
         return np.zeros(len(at), bool)
     after = np.minimum(np.searchsorted(crossings, at), len(crossings) - 1)
-    nearest = np.minimum(np.abs(crossings[after] - at), np.abs(crossings[np.maximum(after - 1, 0)] - at))
+    nearest = np.minimum(*(np.abs(crossings[index] - at) for index in (after, np.maximum(after - 1, 0))))
     return nearest * seen.timestep < CROSSING
 
 
@@ -146,10 +143,3 @@ def as_candidates(seen: Seen, decimate: Filter, rows: np.ndarray) -> dict[str, C
 
 def _stack(*columns: Signal) -> Float[np.ndarray, "time _"]:
     return np.stack(columns, axis=1)
-
-
-def _polynomials(qpos: Signal) -> Float[np.ndarray, "time 3"]:
-    """Return Legendre polynomials of orders 1 to 3 of the position over its range."""
-    reach = float(np.ptp(qpos))
-    share = (2 * qpos - qpos.min() - qpos.max()) / max(reach, 1e-300)
-    return np.polynomial.legendre.legvander(share, 3)[:, 1:]

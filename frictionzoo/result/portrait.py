@@ -1,7 +1,7 @@
 """Friction curves: friction of the model and of the recordings, over velocity and other inputs of the model."""
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +23,6 @@ DRAWS = 100  # most drives of an interval
 _SAMPLED = 81  # velocities of a curve without recordings; odd, to include 0
 AROUND = 200  # recorded states of the closest velocity that represent a velocity
 
-_OVER = {"velocity": "speed", "load": "load", "position": "position", "temperature": "temperature"}
-"""Quantities on the axis of a curve, with the dependency that the model needs for it."""
 _REPLACED = {"velocity": "qvel", "position": "qpos", "temperature": "temperature"}
 Torque = Float[np.ndarray, "rows nv"]
 
@@ -76,32 +74,20 @@ def portray(
     Returns:
         Curves by the quantity on the axis.
     """
-    law, rows = copy.deepcopy(model).double(), _thin(rows)
-    sees = {quantity for joint in range(model.nv) for quantity in law.of_joint(joint)[0].sees} or observe(
-        law, rows.state
-    )
-    parameters = {
-        name.removeprefix("friction."): values for name, values in draws.items() if name.startswith("friction.")
-    }
-    return {
-        name: _portray(law, parameters, rows, name, signal)
-        for name, signal in _list_signals(rows.state)
-        if name == "velocity" or _OVER[name] in sees
-    }
-
-
-def _thin(rows: Rows) -> Rows:
     part = slice(None, None, max(1, len(rows.counts) // SAMPLES))
     state = rows.state.map(lambda signal: np.asarray(signal[part], np.float64))
-    return Rows(state, rows.counts[part], None if rows.implied is None else rows.implied[part])
-
-
-def _list_signals(state: DriveState) -> Iterator[tuple[str, Torque]]:
-    yield "velocity", state.qvel
-    yield "load", np.abs(state.motor_torque - state.external_torque)
-    yield "position", state.qpos
-    if state.temperature is not None:
-        yield "temperature", state.temperature
+    rows = Rows(state, rows.counts[part], None if rows.implied is None else rows.implied[part])
+    law = copy.deepcopy(model).double()
+    sees = {quantity for joint in range(model.nv) for quantity in law.of_joint(joint)[0].sees} or observe(law, state)
+    named = [(name.partition("."), values) for name, values in draws.items()]
+    parameters = {name: values for (owner, _, name), values in named if owner == "friction"}
+    load = np.abs(state.motor_torque - state.external_torque)
+    signals = {"velocity": state.qvel, "load": load, "position": state.qpos, "temperature": state.temperature}
+    return {
+        name: _portray(law, parameters, rows, name, signal)
+        for name, signal in signals.items()
+        if signal is not None and (name == "velocity" or name in sees)
+    }
 
 
 def _portray(
@@ -179,12 +165,10 @@ def sample_friction(
     Float[np.ndarray, "points nv"],
     Float[np.ndarray, "points nv"],
 ]:
-    """Compute friction curves of a model: median, low and high quantile over states recorded near each velocity.
+    """Compute velocities, dense around 0, and a model's friction there: median, low and high quantile.
 
-    A model that depends on the velocity alone has no spread. Dry friction of MuJoCo has its sliding value.
-
-    Returns:
-        Velocities in both directions up to the highest recorded speed, dense around 0, and the three curves.
+    The quantiles are over states recorded near each velocity. A model that depends on the velocity alone has no spread.
+    Dry friction of MuJoCo has its sliding value.
     """
     thinned = samples.map(lambda signal: signal[:: max(1, len(signal) // SAMPLES)])
     fastest = float(np.abs(thinned.qvel).max()) or 1.0
@@ -200,5 +184,4 @@ def _torque_near(model: FrictionModel, samples: DriveState, velocity: float) -> 
     states = states._replace(qvel=torch.full_like(states.qvel, velocity))
     with torch.no_grad():
         torque = sliding_torque(torch, model(states), states.qvel)
-    low, high = (torch.quantile(torque, share, dim=0) for share in SPREAD)
-    return np.stack([torch.quantile(torque, 0.5, dim=0).numpy(), low.numpy(), high.numpy()])
+    return np.stack([torch.quantile(torque, share, dim=0).numpy() for share in (0.5, *SPREAD)])

@@ -46,32 +46,18 @@ def build_drive(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, Frict
 
 
 def load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
-    """Load saved values into the model and return them."""
-    return put_law(model, read_tensors(path, model.name), path)
-
-
-def read_tensors(path: Path, whose: str) -> dict[str, torch.Tensor]:
-    """Read a safetensors file, which holds numbers only and executes nothing; `whose` names their owner in messages.
+    """Load saved values into the model and return them; the file holds numbers only and executes nothing.
 
     Raises:
-        RunError: The file cannot be read.
+        RunError: The file cannot be read, or its values do not fit the model.
     """
     try:
-        return safetensors.torch.load(path.read_bytes())
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
-    except safetensors.SafetensorError as error:
-        raise RunError(
-            f"{path}: {' '.join(str(error).split())}; expected the values of {whose}; run it again"
-        ) from None
-
-
-def put_law(model: FrictionModel, saved: dict[str, torch.Tensor], path: Path) -> dict[str, torch.Tensor]:
-    """Load values into the model and return them; raise RunError with their file's path if they do not fit it."""
-    try:
+        saved = safetensors.torch.load(path.read_bytes())
         model.double().load_state_dict(saved)
         return saved
-    except RuntimeError as error:
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
+    except (safetensors.SafetensorError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise RunError(f"{path}: {reason}; expected the values of {model.name}; run it again") from None
 

@@ -1,27 +1,27 @@
 """`result.json`: the machine-readable record of a run, described by `result.schema.json` in this folder."""
 
-import contextlib
 import hashlib
-import json
 import platform
 from collections.abc import Mapping, Sequence
-from importlib import metadata, resources
+from functools import partial
+from importlib import metadata
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.bench.inertia import SYMBOLS, from_parameters, to_parameters
+from frictionzoo.core import records
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.jobs import read_record, refuse_links, refuse_unfinished
-from frictionzoo.core.log import Dataset, Log, pool_origins
+from frictionzoo.core.log import Dataset, pool_origins
 from frictionzoo.core.output import RESULT, complete
 from frictionzoo.core.params import Param
 from frictionzoo.data.pairing import describe_columns
 from frictionzoo.fit.link_inertia import LinkInertia
-from frictionzoo.fit.uncertainty import Covariance, Uncertainty
+from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result import types
 from frictionzoo.result.card import open_card
@@ -33,13 +33,10 @@ from frictionzoo.result.section_types import BaseParameter, Gravity, Inertia, Li
 from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import explain_failure, judge
 
+read_schema = partial(records.read_schema, "frictionzoo.result", "result")
+"""Return the JSON schema of `result.json`; its descriptions document every field."""
 SCHEMA_VERSION: Final = 10
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
-
-
-def read_schema() -> dict[str, Any]:
-    """Read the JSON schema of `result.json`; its descriptions document every field."""
-    return json.loads(resources.files("frictionzoo.result").joinpath("result.schema.json").read_text(encoding="utf-8"))
 
 
 def build_result(
@@ -77,6 +74,12 @@ def build_result(
     """
     weights = sum(tensor.numel() for name, tensor in model.named_parameters() if name not in model.params)
     parts = (judged.by_joint[part] for judged, part in ((judgement, "train"), (judgement, "test"), (baseline, "test")))
+    params, covariance = {"bench": bench.params, "friction": model.params}, None
+    if found := uncertainty.covariance:
+        names = [label.partition("/")[0].split(".", 1) for label in found.labels]
+        scale: Any = [params[owner][name].scale for owner, name in names]
+        numbers = found.centre.tolist(), found.matrix.tolist(), found.freedom
+        covariance = types.JointUncertainty(list(found.labels), scale, *numbers)
     result = types.Result(
         schema_version=SCHEMA_VERSION,
         model=model_name,
@@ -84,12 +87,17 @@ def build_result(
         data=describe_data(dataset),
         columns=cast(list[types.PairedColumns], describe_columns(dataset.logs, bench.joints)),
         parameters=[
-            *_list_parameters("bench", bench, bench.params, values["bench"], uncertainty),
-            *_list_parameters("friction", bench, model.params, values["friction"], uncertainty),
+            types.ParameterRecord(
+                **_describe_value(owner, bench, name, param, values[owner][name], uncertainty),
+                interval=_interval(uncertainty.intervals.get(f"{owner}.{name}")),
+                identifiable=uncertainty.identifiable.get(f"{owner}.{name}"),
+            )
+            for owner, named in params.items()
+            for name, param in named.items()
         ],
         indistinct=[list(group) for group in uncertainty.indistinct],
         no_intervals=uncertainty.missing,
-        covariance=_describe_covariance(uncertainty.covariance, bench, model),
+        covariance=covariance,
         network=types.Network(weights) if weights else None,
         metrics=types.PartMetrics(judgement.train, judgement.test, baseline.test),
         by_horizon=[
@@ -177,6 +185,7 @@ def _refuse_inconsistent(path: Path, result: types.Result, curves: Curves) -> No
 
 def describe_data(dataset: Dataset) -> types.Data:
     """Return the section `data`: the recordings, with hashes."""
+    parts: Any = ("train", dataset.train), ("test", dataset.test)
     hashes = list(dict.fromkeys(log.sha256 for log in dataset.logs))
     joined = hashlib.sha256("\n".join(hashes).encode()).hexdigest()
     return types.Data(
@@ -185,32 +194,18 @@ def describe_data(dataset: Dataset) -> types.Data:
         origin=pool_origins(log.simulated for log in dataset.logs),
         timestep=round(dataset.logs[0].timestep, 9),
         samples=sum(log.samples for log in dataset.logs),
-        logs=[_describe_log(log, part) for part in ("train", "test") for log in getattr(dataset, part)],
+        logs=[
+            types.UsedLog(log.name, part, log.samples, log.sha256, load and [load.mass, *load.position, *load.inertia])
+            for part, logs in parts
+            for log in logs
+            for load in [log.payload]
+        ],
     )
-
-
-def _describe_log(log: Log, part: Literal["train", "test"]) -> types.UsedLog:
-    payload = log.payload and [log.payload.mass, *log.payload.position, *log.payload.inertia]
-    return types.UsedLog(log.name, part, log.samples, log.sha256, payload)
-
-
-def _list_parameters(
-    owner: str, bench: Bench, params: Mapping[str, Param], values: Mapping[str, np.ndarray], uncertainty: Uncertainty
-) -> list[types.ParameterRecord]:
-    return [
-        types.ParameterRecord(
-            **_describe_value(owner, bench, name, param, values[name], uncertainty),
-            interval=_interval(uncertainty.intervals.get(f"{owner}.{name}")),
-            identifiable=uncertainty.identifiable.get(f"{owner}.{name}"),
-        )
-        for name, param in params.items()
-    ]
 
 
 def _describe_value(
     owner: str, bench: Bench, name: str, param: Param, value: np.ndarray, uncertainty: Uncertainty
 ) -> dict[str, Any]:
-    """Return the fields of a parameter without its uncertainty."""
     by_joint = list_values(bench, param, f"{owner}.{name}", value, uncertainty)
     return {
         "name": name,
@@ -225,46 +220,29 @@ def _describe_value(
     }
 
 
-def _describe_covariance(
-    covariance: Covariance | None, bench: Bench, model: FrictionModel
-) -> types.JointUncertainty | None:
-    """Return the section `covariance`; None if no parameter has an interval."""
-    if covariance is None:
-        return None
-    params = {"bench": bench.params, "friction": model.params}
-    names = [label.partition("/")[0].split(".", 1) for label in covariance.labels]
-    scale: Any = [params[owner][name].scale for owner, name in names]
-    numbers = covariance.centre.tolist(), covariance.matrix.tolist(), covariance.freedom
-    return types.JointUncertainty(list(covariance.labels), scale, *numbers)
-
-
 def _describe_links(found: LinkInertia) -> types.Links:
-    """Return the section `links`: estimated and model file inertias, and the combinations that the data determine."""
-    rows = zip(found.base.describe(), found.values, found.errors, found.determined, strict=True)
-    tilt = found.tilt
+    tilt, prior_only = found.tilt, found.prior_only
+    bodies = zip(found.bodies, found.found, found.maker, strict=True)
+    numbers = (part.tolist() for part in (found.values, found.errors, found.determined))
     return types.Links(
         links=[
             Link(
-                body=body,
-                found=_describe_inertia(new),
-                maker=_describe_inertia(old),
-                prior_only=[symbol for symbol in SYMBOLS if f"{symbol} {body}" in found.prior_only],
+                body,
+                _describe_inertia(new),
+                _describe_inertia(old),
+                [s for s in SYMBOLS if f"{s} {body}" in prior_only],
             )
-            for body, old, new in zip(found.bodies, found.maker, found.found, strict=True)
+            for body, new, old in bodies
         ],
-        gravity=tilt
-        and Gravity(tilt.gravity.tolist(), tilt.maker.tolist(), tilt.angle, error=float(tilt.errors.max())),
+        gravity=tilt and Gravity(tilt.gravity.tolist(), tilt.maker.tolist(), tilt.angle, float(tilt.errors.max())),
         determined=int(found.determined.sum()),
-        base=[
-            BaseParameter(text, float(value), float(error), bool(determined)) for text, value, error, determined in rows
-        ],
+        base=[BaseParameter(*row) for row in zip(found.base.describe(), *numbers, strict=True)],
     )
 
 
 def _describe_inertia(parameters: Float[np.ndarray, "10"]) -> Inertia:
     mass, centre, inertia = from_parameters(parameters)
-    about_centre = to_parameters(mass, np.zeros(3), inertia)[4:]
-    return Inertia(mass, centre.tolist(), about_centre.tolist())
+    return Inertia(mass, centre.tolist(), to_parameters(mass, np.zeros(3), inertia)[4:].tolist())
 
 
 def _as_given(param: Param, side: str, nv: int) -> Any:
@@ -284,8 +262,10 @@ def _interval(ends: np.ndarray | None) -> Any:
 
 
 def _read_versions() -> types.Versions:
-    versions = {"python": platform.python_version(), **dict.fromkeys(PACKAGES, "not installed")}
+    versions = {"python": platform.python_version()}
     for package in PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions[package] = metadata.version(package)
-    return types.Versions(**{package.replace("-", "_"): version for package, version in versions.items()})
+        try:
+            versions[package.replace("-", "_")] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package.replace("-", "_")] = "not installed"
+    return types.Versions(**versions)

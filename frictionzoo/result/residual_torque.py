@@ -43,6 +43,7 @@ _log = logging.getLogger(__name__)
 
 Friction = Callable[[Mapping[str, Any], DriveState], np.ndarray]
 Torque = Float[np.ndarray, "rows nv"]
+Coordinates = Float[np.ndarray, "coordinates"]
 
 
 class Left(NamedTuple):
@@ -101,15 +102,11 @@ class Left(NamedTuple):
         return list_samples(self.equation.decimate)
 
 
-def find_left(
-    recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
-) -> Left | None:
+def find_left(recordings: Recordings, space: Space, vector: Coordinates, filtering: Filtering) -> Left | None:
     """Compute the residual torque up to the highest bandwidth in which noise does not dominate.
 
-    `recordings` holds the training logs and the fitted model, `vector` its values in the coordinates of `space`.
-
-    Returns:
-        Residual torque. None: fewer than `FEWEST` rows, or it cannot be computed and a log line gives the reason.
+    `recordings` holds the training logs and the fitted model, `vector` its values in the coordinates of `space`. None:
+    fewer than `FEWEST` rows, or it cannot be computed and a log line gives the reason.
     """
     bench, model, logs = recordings
     logs = _shorten(logs)
@@ -136,11 +133,11 @@ def _shorten(logs: Sequence[Log]) -> tuple[Log, ...]:
     return tuple(log if log.samples <= longest else log.between(0, longest, "start") for log in chosen)
 
 
-def _narrow(
-    recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
-) -> Left:
+def _narrow(recordings: Recordings, space: Space, vector: Coordinates, filtering: Filtering) -> Left:
     imitations = _imitate(recordings, space, vector)
-    noisy_logs = tuple(map(_add_noise, recordings.logs))
+    white = (np.random.default_rng(0).normal(size=log.qpos.shape) for log in recordings.logs)
+    pairs = zip(recordings.logs, white, strict=True)
+    noisy_logs = tuple(replace(log, qpos=log.qpos + _encoder_noise(log) * noise) for log, noise in pairs)
 
     def leave(logs: Sequence[Log], filtering: Filtering) -> Left:
         return _leave(recordings._replace(logs=logs), space, vector, filtering)
@@ -171,28 +168,25 @@ def _narrow(
     return residual
 
 
-def _leave(
-    recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
-) -> Left:
-    """Compute the residual torque in this bandwidth."""
+def _leave(recordings: Recordings, space: Space, vector: Coordinates, filtering: Filtering) -> Left:
     bench, model, logs = recordings
+
+    def velocity_noise(log: Log) -> Float[np.ndarray, "nv"]:
+        """Return the standard deviation of velocity noise caused by encoder noise [rad/s or m/s]."""
+        white = filtering.motion(replace(log, qpos=np.random.default_rng(0).normal(size=log.qpos.shape)))
+        return _encoder_noise(log) * np.sqrt(np.mean(np.square(white.qvel), axis=0))
+
     substeps = bench.sampling(logs[0].timestep).substeps
     equation = TorqueEquation(space, recordings, filtering, held=True, substeps=substeps)
     values, state = space.values(jnp.asarray(vector, space.start.dtype))["friction"], equation.state(vector)
     friction = follow(model, logs)(values, state)
     speed = np.abs(equation.motion.qvel)
-    noise = np.concatenate([np.broadcast_to(_velocity_noise(log, filtering), log.qpos.shape) for log in logs])
+    noise = np.concatenate([np.broadcast_to(velocity_noise(log), log.qpos.shape) for log in logs])
     slow = speed < np.maximum(filtering.slow * np.sqrt(np.mean(np.square(speed), axis=0)), 3 * noise)
     near = max(1, round(0.5 / filtering.bandwidth / logs[0].timestep))
     decimate, places = equation.decimate, list_samples(equation.decimate)
     rows = decimate(friction), friction[places], ~_near_rest(slow, near, decimate)[places]
     return Left(equation, equation.left(vector, friction), *rows, recordings, state, filtering.bandwidth)
-
-
-def _velocity_noise(log: Log, filtering: Filtering) -> Float[np.ndarray, "nv"]:
-    """Return the standard deviation of velocity noise caused by encoder noise [rad/s or m/s]."""
-    white = np.random.default_rng(0).normal(size=log.qpos.shape)
-    return _encoder_noise(log) * np.sqrt(np.mean(np.square(filtering.motion(replace(log, qpos=white)).qvel), axis=0))
 
 
 def _near_rest(slow: Bool[np.ndarray, "time nv"], near: int, decimate: Decimation) -> Bool[np.ndarray, "time nv"]:
@@ -245,18 +239,13 @@ def _remember(model: FrictionModel, logs: Sequence[Log]) -> Friction:
     return lambda values, state: np.asarray(follow(values, state.map(jnp.asarray)), np.float64)
 
 
-def _imitate(
-    recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], stiff: bool = False
-) -> tuple[Log, ...] | None:
+def _imitate(recordings: Recordings, space: Space, vector: Coordinates, stiff: bool = False) -> tuple[Log, ...] | None:
     """Simulate an identified drive under recorded commands, and measure it like the recordings.
 
-    The positions get the encoders' noise and quantisation, estimated from the recordings. All logs are cut to the
-    length of the shortest one, and `MOST_STEPS` limits their number. With `stiff`, dry friction is as stiff as the
-    simulation step allows, instead of as in the bench.
-
-    Returns:
-        Imitated logs. None: the simulation fails or takes too long, or the motion differs too much from the recording,
-        as it soon does with pure torque commands.
+    The positions get the encoders' noise and quantisation. All logs are cut to the length of the shortest one, and
+    `MOST_STEPS` limits their number. `stiff`: dry friction as stiff as the simulation step allows, not as in the bench.
+    None: the simulation fails or takes too long, or the motion soon differs from the recording, as with torque
+    commands.
     """
     bench, model, logs = recordings
     if stiff:
@@ -285,17 +274,10 @@ def _imitate(
 
 
 def _measure(log: Log, qpos: Float[np.ndarray, "time nv"], random: np.random.Generator) -> Float[np.ndarray, "time nv"]:
-    """Return positions with the noise and quantisation of a log's encoders."""
     steps = np.array([find_quantum(column) or 0.0 for column in log.qpos.T])
     noisy = qpos + np.sqrt(np.maximum(_encoder_noise(log) ** 2 - steps**2 / 12, 0)) * random.normal(size=qpos.shape)
     return np.where(steps > 0, np.round(noisy / np.maximum(steps, 1e-300)) * steps, noisy)
 
 
-def _add_noise(log: Log) -> Log:
-    """Return a log with additional position noise as large as the noise of its encoders."""
-    return replace(log, qpos=log.qpos + _encoder_noise(log) * np.random.default_rng(0).normal(size=log.qpos.shape))
-
-
 def _encoder_noise(log: Log) -> Float[np.ndarray, "nv"]:
-    """Return the standard deviation of position noise [rad or m]."""
     return np.array([find_noise(column) for column in log.qpos.T])

@@ -31,13 +31,14 @@ CLEAR = 2.0  # times the noise; smaller residuals are not tested for a gap
 ALONE = 50  # inverse of the smallest share of rows on either side
 ALIKE = 15.0  # neighbouring rows that count as one independent row
 _log = logging.getLogger(__name__)
+Slopes = Float[np.ndarray, "rows nv parameters"]
+Coordinates = Float[np.ndarray, "coordinates"]
 
 
-def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]) -> types.Residual | None:
+def describe_residual(left: Left, space: Space, vector: Coordinates) -> types.Residual | None:
     """Return the section `residual`: residual factors of the torque in motion, as defined in `Residual`.
 
-    Returns:
-        Section. None: the residual torque has no finite derivative by the values, and a log line says so.
+    None: the residual torque has no finite derivative by the values, and a log line says so.
     """
     bench = left.recordings.bench
     slopes = [_slopes(residual, space, vector) for residual in (left, left.nothing) if residual is not None]
@@ -49,9 +50,7 @@ def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coord
     return types.Residual(unit, left.bandwidth, [row for row in rows if row is not None])
 
 
-def _slopes(
-    left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]
-) -> Float[np.ndarray, "rows nv parameters"]:
+def _slopes(left: Left, space: Space, vector: Coordinates) -> Slopes:
     """Return the derivative of the residual torque by each identified parameter, changed in all joints at once.
 
     Values at a bound stay. Actuator parameters other than torques are skipped: with free gains, zero torque solves the
@@ -73,7 +72,6 @@ def _slopes(
 
 
 def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.JointResidual | None:
-    """Return the residual analysis of one joint; None if it hardly moves."""
     rows = np.flatnonzero(left.counts[:, joint])
     if len(rows) < FEWEST:
         return None
@@ -88,14 +86,12 @@ def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.Joi
         correlation=attribution.correlation(error),
         noise_correlation=attribution.correlation(noise),
         kurtosis=attribution.excess(error),
-        places=[row for row in _attribute(left, joint, slopes) if _counts(row, total)],
+        places=[
+            row
+            for row in _attribute(left, joint, slopes)
+            if row.torque > LITTLE * total or (row.place == "scale" and row.value and abs(np.log(row.value)) > WRONG)
+        ],
     )
-
-
-def _counts(place: types.ResidualFactor, friction: float) -> bool:
-    """Return whether a residual factor is large enough to report."""
-    scale = place.value if place.place == "scale" else None
-    return place.torque > LITTLE * friction or (scale is not None and abs(np.log(scale)) > WRONG)
 
 
 def _attribute(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> list[types.ResidualFactor]:
@@ -148,14 +144,13 @@ def _find_gap(looked: _Looked, left: Left, joint: int) -> types.ResidualFactor |
     return types.ResidualFactor("gap", None, None, share, torque, chance, known=law == GAP, law=other, whole=False)
 
 
-def _look(left: Left, joint: int, slopes: Float[np.ndarray, "rows nv parameters"]) -> _Looked:
+def _look(left: Left, joint: int, slopes: Slopes) -> _Looked:
     rows, seen = np.flatnonzero(left.counts[:, joint]), _see(left, joint)
     periods = places.list_periods(seen, left.recordings.bench.joint_type == "hinge", left.bandwidth)
     return _Looked(left.of(joint), slopes[rows, joint], rows, seen, left.equation.decimate, periods)
 
 
 def _choose(looked: _Looked) -> dict[str, float]:
-    """Choose the torque limit and the ripple periods that explain most of an error."""
     error, known, rows, seen, decimate, periods = looked
     chosen = {"limit": places.find_limit(seen, decimate, rows, error, known)}
     if len(periods):

@@ -39,6 +39,10 @@ class AutomaticSetting(Record):
     reason: Text
     """Reason for the choice."""
 
+    def __str__(self) -> str:
+        value = "null" if self.value is None else self.value
+        return f"{self.option}={str(value).lower() if isinstance(value, bool) else value}: {self.reason}"
+
 
 class JointColumns(Record):
     """Columns of one joint."""

@@ -88,8 +88,8 @@ def find_limited(values: Values, continuous: Values) -> list[int]:
 def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, step: Mapping[str, Any]) -> Bench:
     """Build the bench for a first-order simulator from one of second order.
 
-    Commands act half a step later, and dry friction is no stiffer than the simulator allows. `settings` is the section
-    `bench`; `step` holds `timestep` [s], and `integrator` if it differs.
+    Commands act half a step later, and dry friction is no stiffer than the simulator allows. `step` holds `timestep`
+    [s], and `integrator` if it differs.
     """
     delay = {"init": _delay(values, step["timestep"]).tolist(), "high": 1.0, "identify": False}
     params = {**(settings.get("params") or {}), "delay": delay}

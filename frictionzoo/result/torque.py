@@ -47,12 +47,10 @@ def measure_torque(
     vector: Float[np.ndarray, "coordinates"],
     filtering: tuple[Filtering, bool],
 ) -> types.Torque | None:
-    """Compute the root mean square residual torque of each joint, as defined in `Torque`.
+    """Compute the section `torque`: the root mean square residual torque of each joint, as defined in `Torque`.
 
-    `recordings` has all logs, with the `train` training logs first; `filtering` comes from `choose_filtering`.
-
-    Returns:
-        Section `torque`. None: the recordings have no torque, or it cannot be compared and a log line gives the reason.
+    `recordings` has all logs, with the `train` training logs first; `filtering` comes from `choose_filtering`. None:
+    the recordings have no torque, or it cannot be compared and a log line gives the reason.
     """
     compared = _find_torque(recordings)
     if compared is None:
@@ -69,7 +67,8 @@ def measure_torque(
     unit: Any = UNITS[recordings.bench.joint_type]["torque"]
 
     def measure(part: slice, of: Callable[[np.ndarray], Any]) -> types.TorqueErrors:
-        return types.TorqueErrors(*(float(of(_rms(torque[part]))) for torque in (residual, driving)))
+        by_joint = (np.sqrt(np.mean(np.square(torque[part]), axis=0)) for torque in (residual, driving))
+        return types.TorqueErrors(*(float(of(each)) for each in by_joint))
 
     return types.Torque(
         compared=compared,
@@ -95,7 +94,3 @@ def _find_torque(recordings: Recordings) -> Literal["torque", "ctrl"] | None:
     if any(torque is not None for torque in recorded):
         _log.warning("recorded torque is not compared: not every log has it for every joint")
     return "ctrl" if isinstance(bench.actuator, Force) else None
-
-
-def _rms(torque: Float[np.ndarray, "rows nv"]) -> Float[np.ndarray, "nv"]:
-    return np.sqrt(np.mean(np.square(torque), axis=0))

@@ -16,13 +16,12 @@ ALL = "all joints"
 
 
 class ParameterArrays(NamedTuple):
-    """One physical parameter of a run's result.
+    """One physical parameter of a run's result, by joint.
 
     Attributes:
-        value: Value of each joint, in `unit`; NaN: its model has no such parameter.
-        unit: Unit of the value.
+        value: Values in `unit`; NaN: the joint's model has no such parameter.
         identified: Whether the fit estimated it; otherwise it was known.
-        interval: Lower and upper end of each joint's 95 % interval; NaN: no interval.
+        interval: Lower and upper ends of the 95 % intervals; NaN: no interval.
         identifiable: Whether the data determine it in all joints; None: not tested.
         by_joint: Entries of `result.json`, one per joint or per group of joints that share a value.
     """
@@ -75,7 +74,6 @@ def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncert
 
 
 def _group(bench: Bench, param: Param, value: np.ndarray) -> dict[str, list[int]]:
-    """Return the joints of each group by its name, ordered by the first joint."""
     groups, members = bench.groups(param), param.members(bench.nv)
     if not param.is_identified:
         # Known values of a group may differ.

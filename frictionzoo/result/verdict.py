@@ -92,7 +92,6 @@ def say_finding(finding: types.ResultFinding) -> str:
 
 
 def _find_doubts(result: Result) -> Iterator[types.ResultFinding]:
-    """Yield all findings of a result, in the order of the checks."""
     if result.not_identified:
         why, *reasons = result.not_identified
         yield _find(
@@ -194,7 +193,6 @@ def _doubt_stability(result: Result) -> Iterator[types.ResultFinding]:
 
 
 def _doubt_residual(residual: types.Residual) -> Iterator[types.ResultFinding]:
-    """Yield the residual factors, and unexplained residual torque beyond noise."""
     rows, unit = residual.by_joint, residual.unit
     factors: dict[tuple[str, str | None], list[tuple[types.JointResidual, types.ResidualFactor]]] = {}
     for row in rows:
@@ -228,7 +226,6 @@ def _share_of_friction(torque: float, row: types.JointResidual) -> float:
 
 
 def _is_explained(residual: types.Residual | None) -> bool:
-    """Return whether the residual torque of every joint is noise."""
     rows = residual.by_joint if residual else []
     return bool(rows) and all(_unexplained(row) < UNEXPLAINED and not row.places for row in rows)
 
@@ -236,11 +233,11 @@ def _is_explained(residual: types.Residual | None) -> bool:
 def _doubt_torque(torque: types.Torque) -> Iterator[types.ResultFinding]:
     if torque.compared != "torque":
         return
-    shares = {row.joint: _share(row.test) for row in torque.by_joint}
-    doubtful = {joint: share for joint, share in shares.items() if share > DOUBTED}
-    if doubtful:
-        worst = max(doubtful, key=lambda joint: doubtful[joint])
-        where = f" of {name_some([*doubtful])}" if len(shares) > 1 else ""
+    tests = {row.joint: row.test for row in torque.by_joint}
+    shares = {joint: (test.residual or 0.0) / test.torque for joint, test in tests.items() if test.torque}
+    if doubtful := {joint: share for joint, share in shares.items() if share > DOUBTED}:
+        worst = max(doubtful, key=doubtful.__getitem__)
+        where = f" of {name_some([*doubtful])}" if len(tests) > 1 else ""
         yield _find(
             "torque",
             f"recorded torque{where} contradicts the result: on test data it differs from the torque that the motion "
@@ -250,15 +247,9 @@ def _doubt_torque(torque: types.Torque) -> Iterator[types.ResultFinding]:
         )
 
 
-def _share(errors: types.TorqueErrors) -> float:
-    residual, torque = errors.residual, errors.torque
-    return residual / torque if residual is not None and torque else 0.0
-
-
 def _say_place(
     place: str, found: Sequence[tuple[types.JointResidual, types.ResidualFactor]], unit: str, joints: int
 ) -> str:
-    """Describe a residual factor, with its size in the joint in which it is largest."""
     row, factor = max(found, key=lambda pair: _share_of_friction(pair[1].torque, pair[0]))
     where = f" of {name_some([*dict.fromkeys(row.joint for row, _ in found)])}" if joints > 1 else ""
     ripple = ""
@@ -347,16 +338,15 @@ def _doubt_bounds(parameters: Sequence[ParameterRecord]) -> Iterator[types.Resul
 
 def _is_heavy(parameter: ParameterRecord) -> bool:
     """Return whether the armature of each of several joints ended at its lower bound."""
-    rows = parameter.by_joint
-    is_armature = parameter.owner == "bench" and parameter.name == "armature"
-    return is_armature and len(rows) > 1 and all(row.at_bound for row in rows) and not _ended_high(parameter)
+    rows, full = parameter.by_joint, (parameter.owner, parameter.name)
+    ended_low = all(row.at_bound for row in rows) and not _ended_high(parameter)
+    return full == ("bench", "armature") and len(rows) > 1 and ended_low
 
 
 def _is_cut_off(parameter: ParameterRecord) -> bool:
     """Return whether a bound cuts off a size or an offset, which other parameters then compensate."""
-    ended = [row for row in parameter.by_joint if row.at_bound]
-    offset = parameter.name.endswith("_offset")
-    return bool(ended) and (offset or ((_is_size(parameter) or parameter.owner == "bench") and _ended_high(parameter)))
+    is_sized = (_is_size(parameter) or parameter.owner == "bench") and _ended_high(parameter)
+    return is_sized or parameter.name.endswith("_offset")
 
 
 def _is_size(parameter: ParameterRecord) -> bool:
@@ -364,7 +354,7 @@ def _is_size(parameter: ParameterRecord) -> bool:
 
 
 def _ended_high(parameter: ParameterRecord) -> bool:
-    ended = [row for row in parameter.by_joint if row.at_bound]
+    ended = (row for row in parameter.by_joint if row.at_bound)
     return any(row.value - row.low >= row.high - row.value for row in ended)
 
 

@@ -42,10 +42,8 @@ def find_files(names: Sequence[str], folder: str | None, source: str | None) -> 
         files = _expand(path)
         if not files:
             problem = "no file in this folder" if path.is_dir() else "no such file"
-            advice = (
-                f"; {obtain(name, source)}" if source is not None else f" (looked from {Path.cwd()}); check the path"
-            )
-            raise LogError(f"{path}: {problem}{advice}")
+            looked = f" (looked from {Path.cwd()}); check the path"
+            raise LogError(f"{path}: {problem}{looked if source is None else f'; {obtain(name, source)}'}")
         all_files += map(str, sorted(files))
     return list(dict.fromkeys(all_files))
 

@@ -119,11 +119,7 @@ def _find_headers(first: Sequence[str], comment: Sequence[str]) -> tuple[list[st
 
 
 def _sort_out(
-    name: str,
-    headers: Sequence[str],
-    lines: Sequence[int],
-    cells: Sequence[Sequence[str]],
-    has_decimal_commas: bool,
+    name: str, headers: Sequence[str], lines: Sequence[int], cells: Sequence[Sequence[str]], has_decimal_commas: bool
 ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Return the columns of numbers, and error messages for the others."""
     columns: dict[str, np.ndarray] = {}
@@ -136,13 +132,11 @@ def _sort_out(
         try:
             read = _read_column(header, column, has_decimal_commas)
         except ValueError as error:
-            is_bad = (not _is_value(cell, has_decimal_commas) for cell in column)
-            bad_row = next((place for place, bad in enumerate(is_bad) if bad), None)
-            refused[header] = (
-                f"{name}: {header} {error}"
-                if bad_row is None
-                else f"{name}, line {lines[bad_row]}: {header} is {column[bad_row][:40]!r}, expected a number"
-            )
+            bad = ((n, cell) for n, cell in zip(lines, column, strict=True) if not _is_value(cell, has_decimal_commas))
+            line, cell = next(bad, (None, ""))
+            reason = f"{name}: {header} {error}"
+            reason = reason if line is None else f"{name}, line {line}: {header} is {cell[:40]!r}, expected a number"
+            refused[header] = reason
             continue
         for duplicate in columns.keys() & read.keys():
             raise LogError(f"{name}: two columns {duplicate}, expected one; rename the others")
@@ -192,7 +186,6 @@ def _is_plain(text: str) -> bool:
 
 
 def _is_value(cell: str, has_decimal_commas: bool = False) -> bool:
-    """Return whether a cell is empty, a number, or a list of numbers."""
     numbers = _split_list(cell) or [cell.replace(",", ".") if has_decimal_commas else cell]
     try:
         return bool([float(number.strip() or "nan") for number in numbers]) and _is_plain(cell)

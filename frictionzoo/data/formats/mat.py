@@ -33,18 +33,15 @@ class Mat(Format):
         with parsing(name, "a MATLAB file"):
             _check_sizes(name, content)
             # Read numbers and texts only, never functions, objects or cells.
-            kinds: dict[str, str] = {}
+            names, refused = [], {}
             for variable, _, kind in scipy.io.whosmat(io.BytesIO(content)):
-                if variable in kinds:
+                if variable in names or variable in refused:
                     raise LogError(f"{name}: two variables {variable}, expected one of each name; save it again")
-                kinds[variable] = kind
-            names = [variable for variable, kind in kinds.items() if kind in KINDS]
+                if kind in KINDS:
+                    names.append(variable)
+                else:
+                    refused[variable] = f"{name}: {variable} is of class {kind}, expected real numbers"
             stored = scipy.io.loadmat(io.BytesIO(content), variable_names=names)
-            refused = {
-                variable: f"{name}: {variable} is of class {kind}, expected real numbers"
-                for variable, kind in kinds.items()
-                if kind not in KINDS
-            }
             return tabulate(name, {variable: stored[variable] for variable in names}, refused=refused)
 
 

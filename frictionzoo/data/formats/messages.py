@@ -198,13 +198,7 @@ class _Group:
 
 
 class Topic:
-    """Messages of one topic.
-
-    Args:
-        types: Definitions of its type and of those within.
-        kind: Its type.
-        cdr: Whether messages are in CDR, as in ROS 2.
-    """
+    """Messages of one topic of this type; `types` has its definition and those within, `cdr`: as in ROS 2."""
 
     def __init__(self, types: Types, kind: str, cdr: bool) -> None:
         self.types, self.kind, self.cdr = types, kind, cdr
@@ -213,11 +207,7 @@ class Topic:
         self._last: _Group | None = None
 
     def add(self, content: bytes, received: int) -> None:
-        """Add a message.
-
-        Raises:
-            ValueError: It does not match its definition.
-        """
+        """Add a message; ValueError if it does not match its definition."""
         if self._last is None or not self._last.layout.fits(content):
             layout = _Reader(self.types, content, self.cdr).read(self.kind)
             self._last = self._groups.setdefault((layout.size, tuple(layout.fixed)), _Group(layout))

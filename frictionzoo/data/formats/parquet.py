@@ -40,13 +40,11 @@ def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict
         check_unpacked(name, max(sum(sizes), 8 * rows * file.metadata.num_columns))
         if min([rows, *sizes]) < 0 or rows != sum(group.num_rows for group in groups):
             raise LogError(f"{name}: its sizes contradict each other, expected a Parquet file; export it again")
-        numeric = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
+        fields = [(field.name, field.type, _is_numeric(field.type)) for field in file.schema_arrow]
         refused = {
-            field.name: f"{name}: {field.name} is of type {field.type}, expected real numbers"
-            for field in file.schema_arrow
-            if not _is_numeric(field.type)
+            n: f"{name}: {n} is of type {kind}, expected real numbers" for n, kind, is_read in fields if not is_read
         }
-        table = file.read(columns=numeric)
+        table = file.read(columns=[header for header, _, is_read in fields if is_read])
         columns = {header: table.column(header).combine_chunks() for header in table.column_names}
         for header, column in columns.items():
             if len(column) != rows:

@@ -33,11 +33,9 @@ class Pt(Format):
                 raise LogError(f"{name}: holds Python objects, {reason}; expected {EXPECTED}") from None
             if not isinstance(stored, Mapping):
                 raise LogError(f"{name}: holds one {type(stored).__name__}, expected {EXPECTED}")
-            tensors = {str(key): value for key, value in stored.items() if isinstance(value, torch.Tensor)}
+            values = {str(key): value for key, value in stored.items()}
+            tensors = {key: value for key, value in values.items() if isinstance(value, torch.Tensor)}
             # An expanded tensor stores one number for many.
             check_unpacked(name, sum(8 * tensor.numel() for tensor in tensors.values()))
-            arrays = {
-                header: (tensor.double() if tensor.is_floating_point() else tensor).detach().numpy()
-                for header, tensor in tensors.items()
-            }
-            return tabulate(name, {**{str(key): value for key, value in stored.items()}, **arrays})
+            real = {key: tensor.double() if tensor.is_floating_point() else tensor for key, tensor in tensors.items()}
+            return tabulate(name, values | {key: tensor.detach().numpy() for key, tensor in real.items()})

@@ -1,8 +1,7 @@
 """`drift.json`: whether a drive's parameters have changed since its runs; `drift.schema.json` describes it."""
 
-import json
 from collections.abc import Sequence
-from importlib import resources
+from functools import partial
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ import scipy.special
 from jaxtyping import Float
 from msgspec import Meta
 
+from frictionzoo.core import records
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import complete
 from frictionzoo.core.records import Interval, Joints, NotNegative, Record, Text
@@ -18,6 +18,8 @@ from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import label_values, name_some
 from frictionzoo.result.types import Data, Result, Value
 
+read_schema = partial(records.read_schema, "frictionzoo.result.comparison", "drift")
+"""Return the JSON schema of `drift.json`, which documents every field."""
 SCHEMA_VERSION: Final = 1
 Verdict = Literal["unchanged", "changed", "cannot tell"]
 Share = Annotated[float, Meta(gt=0, lt=1)]
@@ -95,14 +97,7 @@ class Estimates(NamedTuple):
 
 
 class Differences(NamedTuple):
-    """Differences of new estimates from the mean of earlier ones.
-
-    Attributes:
-        mean: Mean of the earlier estimates.
-        change: New estimate minus the mean.
-        half: Half the interval of the change.
-        spread: Standard deviation of the earlier estimates; NaN for one.
-    """
+    """Changes of new estimates from the mean of earlier ones, half their intervals, and the spread (NaN for one)."""
 
     mean: Float[np.ndarray, "*shape"]
     change: Float[np.ndarray, "*shape"]
@@ -139,19 +134,10 @@ def find_differences(earlier: Estimates, now: Estimates, alarm: float) -> Differ
 
 
 def decide(found: Differences, relative: Sequence[bool], smallest: float) -> list[Verdict]:
-    """Return the verdict on each coordinate; `relative` says which are logarithms.
-
-    A change exceeds its interval and `smallest`. An interval so wide that a parameter counts as not identifiable
-    allows no verdict.
-    """
+    """Return the verdict on each coordinate; `relative` says which are logarithms. No verdict for wide intervals."""
     size = np.abs(np.where(relative, np.expm1(found.change), found.change))
     exceeds = (np.abs(found.change) > found.half) & (size > smallest)
     return np.where(exceeds, "changed", np.where(found.half < WIDEST, "unchanged", "cannot tell")).tolist()
-
-
-def read_schema() -> dict[str, Any]:
-    """Return the JSON schema of `drift.json`, which documents every field."""
-    return json.loads(resources.files("frictionzoo.result.comparison").joinpath("drift.schema.json").read_text("utf-8"))
 
 
 def judge_drift(
@@ -172,22 +158,26 @@ def judge_drift(
     if not tested:
         why = next((run.result.no_intervals for run in runs if run.result.no_intervals), None)
         raise RunError(f"{runs[0].place}: {why or 'the runs determine no parameter'}, expected intervals to compare")
-    scales = _get_scales(first, tested)
+    scales = _get_scales(first)
     for run in runs:
-        if _get_scales(run.result, tested) != scales:
+        if any(_get_scales(run.result)[label] != scales[label] for label in tested):
             raise RunError(f"{run.place}: its parameters have other scales than in {runs[0].place}; leave it out")
-    rows = {label: _describe(runs, now, label) for label in tested}
+    rows = {label: _describe(runs, now, label, scales[label]) for label in tested}
     if determined := [label for label in tested if label in current]:
         earlier = Estimates(*np.moveaxis(np.array([[table[label] for label in determined] for table in tables]), 2, 0))
         latest = Estimates(*np.transpose([current[label] for label in determined]))
-        scales = _get_scales(first, determined)
         found = find_differences(earlier, latest, alarm / len(determined))
-        verdicts = decide(found, [isinstance(scale, str) for scale in scales], smallest)
+        verdicts = decide(found, [rows[label].relative for label in determined], smallest)
         for index, label in enumerate(determined):
             change = Differences(*(numbers[index] for numbers in found))
-            _put_change(rows[label], change, scales[index], verdicts[index], len(runs) > 1)
+            _put_change(rows[label], change, scales[label], verdicts[index])
     untested = [label for label in labels if label not in tested]
-    verdict, summary = _conclude([*rows.values()], untested, _find_failure(now) if now else reason)
+    failure = reason
+    if now:
+        failed, missing = now.result.not_identified, now.result.no_intervals
+        why = f"the drive was not identified: {failed[0]}" if failed else f"no intervals: {missing}" if missing else ""
+        failure = now.complaint or why
+    verdict, summary = _conclude([*rows.values()], untested, failure)
     return complete(
         Drift(
             schema_version=SCHEMA_VERSION,
@@ -207,7 +197,6 @@ def judge_drift(
 
 
 def _list_values(result: Result) -> dict[str, Value]:
-    """Return the entries of all parameters by label."""
     return {label: row for parameter in result.parameters for label, row in label_values(parameter).items()}
 
 
@@ -221,16 +210,13 @@ def _read(result: Result) -> dict[str, tuple[float, float, float]]:
     }
 
 
-def _get_scales(result: Result, labels: Sequence[str]) -> list[str | float]:
+def _get_scales(result: Result) -> dict[str, str | float]:
     row = result.covariance
-    assert row
-    return [row.scale[row.labels.index(label)] for label in labels]
+    return dict(zip(row.labels, row.scale, strict=True)) if row else {}
 
 
-def _describe(runs: Sequence[FittedDrive], now: FittedDrive | None, label: str) -> ParameterDrift:
-    """Return a parameter's entry without a change."""
-    values = [_list_values(run.result)[label] for run in runs]
-    name, (scale,) = label.partition("/")[0], _get_scales(runs[0].result, [label])
+def _describe(runs: Sequence[FittedDrive], now: FittedDrive | None, label: str, scale: str | float) -> ParameterDrift:
+    values, name = [_list_values(run.result)[label] for run in runs], label.partition("/")[0]
     current = _list_values(now.result).get(label) if now else None
     numbers = np.array([row.value for row in values])
     mean = np.exp(np.log(numbers).mean()) if isinstance(scale, str) else numbers.mean()
@@ -250,7 +236,7 @@ def _describe(runs: Sequence[FittedDrive], now: FittedDrive | None, label: str) 
     )
 
 
-def _put_change(row: ParameterDrift, change: Differences, scale: str | float, verdict: Verdict, several: bool) -> None:
+def _put_change(row: ParameterDrift, change: Differences, scale: str | float, verdict: Verdict) -> None:
     """Put a change into a parameter's entry, converted from the coordinate to the parameter's unit."""
     factor = np.exp(change.mean) if isinstance(scale, str) else scale
 
@@ -259,14 +245,7 @@ def _put_change(row: ParameterDrift, change: Differences, scale: str | float, ve
 
     row.verdict, row.difference = verdict, convert(change.change)
     row.interval = [convert(change.change + sign * change.half) for sign in (-1, 1)]
-    row.spread = float(factor * change.spread) if several else None
-
-
-def _find_failure(now: FittedDrive) -> str:
-    """Return why the new identification is unusable; empty if it is usable."""
-    failed, missing = now.result.not_identified, now.result.no_intervals
-    why = f"the drive was not identified: {failed[0]}" if failed else f"no intervals: {missing}" if missing else ""
-    return now.complaint or why
+    row.spread = float(factor * change.spread)  # `complete` turns the NaN of a single run into None
 
 
 def _conclude(rows: Sequence[ParameterDrift], untested: Sequence[str], failed: str) -> tuple[Verdict, str]:
@@ -287,14 +266,10 @@ def _conclude(rows: Sequence[ParameterDrift], untested: Sequence[str], failed: s
         return "changed", f"changed: {'; '.join([', '.join(changed), *doubts])}"
     if doubts:
         return "cannot tell", f"cannot tell: {'; '.join(doubts)}"
-    widest = max(rows, key=_width)
+    # The largest change within the interval, relative to the value.
+    widest = max(rows, key=lambda row: max(map(abs, row.interval or [0.0])) / max(abs(row.then), 1e-300))
     count = f"{len(rows)} parameters; the least certain: " if len(rows) > 1 else ""
     return "unchanged", f"unchanged: {count}{say_name(widest)} {say_change(widest)}"
-
-
-def _width(row: ParameterDrift) -> float:
-    """Return the largest change within the interval, relative to the value."""
-    return max(map(abs, row.interval or [0.0])) / max(abs(row.then), 1e-300)
 
 
 def say_name(row: ParameterDrift) -> str:

@@ -1,15 +1,15 @@
 """`comparison.json`: comparison of runs; `comparison.schema.json` in this folder describes it."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib import resources
+from functools import partial
 from itertools import combinations
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.core import records
 from frictionzoo.core.output import complete
 from frictionzoo.result.comparison import types as rows
 from frictionzoo.result.comparison.runs import NAMED, Failure, Run, differing
@@ -27,25 +27,27 @@ from frictionzoo.result.names import label_values, name_unidentifiable
 from frictionzoo.result.types import Result
 from frictionzoo.result.verdict import doubt_reference
 
+read_schema = partial(records.read_schema, "frictionzoo.result.comparison", "comparison")
+"""Return the JSON schema of `comparison.json`, which documents every field."""
 SCHEMA_VERSION: Final = 6
 LONGEST_LAG = 0.5  # longest lag of the residuals' autocorrelation [s]
 FEW = 8  # number of rollouts below which their interval is unreliable
 
 
-def read_schema() -> dict[str, Any]:
-    """Return the JSON schema of `comparison.json`, which documents every field."""
-    return json.loads(
-        resources.files("frictionzoo.result.comparison").joinpath("comparison.schema.json").read_text("utf-8")
-    )
-
-
 def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Comparison:
     """Return the content of `comparison.json` for at least one run, checked by `gather`, and jobs without a result."""
     ranked = sorted(runs, key=_rank)
-    pairs = _compare_pairs(ranked)
+    counts = resample(len(runs[0].curves.test_mae))
+    pairs = {
+        (worse.label, better.label): difference(worse.curves.test_mae, better.curves.test_mae, counts)
+        for better, worse in combinations(ranked, 2)
+    }
     result, test = ranked[0].result, ranked[0].result.metrics.test
     reference = next((run for run in ranked if run.result.model == "baseline"), None)
     evaluation = result.evaluation.sha256, test.horizon, test.rollouts
+    # Options of the model belong to it.
+    options = differing([run.result.settings | {"engine": run.result.engine} for run in ranked], NAMED).items()
+    labels = [run.label for run in ranked]
     comparison = rows.Comparison(
         schema_version=SCHEMA_VERSION,
         data=result.data,
@@ -61,19 +63,24 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Compa
         reference_doubt=doubt_reference(reference.result.parameters if reference else result.reference),
         runs=[_describe(run, reference) for run in ranked],
         failures=list(failures),
-        differences=_list_differences(ranked),
+        differences=[rows.OptionDifference(name, dict(zip(labels, values, strict=True))) for name, values in options],
         pairs=[rows.Pair(*labels, **asdict(pair)) for labels, pair in pairs.items()],
         by_horizon=_by_horizon(ranked),
         by_speed=_by_local(ranked, "local_speed"),
         by_load=_by_local(ranked, "local_load"),
-        friction={run.label: _describe_friction(run) for run in ranked},
+        friction={
+            run.label: rows.FrictionCurve(
+                c.velocity.tolist(), *(part.T.tolist() for part in (c.friction, c.friction_low, c.friction_high))
+            )
+            for run in ranked
+            for c in [run.curves]
+        },
         autocorrelation=_describe_autocorrelation(ranked),
     )
     return complete(comparison)
 
 
 def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
-    """Return the position error in the long test rollouts [rad or m]."""
     return run.curves.qpos - run.curves.measured_qpos[:, 1:]
 
 
@@ -84,19 +91,8 @@ def _rank(run: Run) -> tuple[int, float, int]:
 
 
 def _count_identified(result: Result) -> int:
-    """Return the number of identified values and network weights."""
     values = [value.identified for p in result.parameters for value in p.by_joint]
-    network = result.network
-    return sum(values) + (network.weights if network else 0)
-
-
-def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
-    """Compare every pair of runs; the better-ranked run is second."""
-    counts = resample(len(runs[0].curves.test_mae))
-    return {
-        (worse.label, better.label): difference(worse.curves.test_mae, better.curves.test_mae, counts)
-        for better, worse in combinations(runs, 2)
-    }
+    return sum(values) + (result.network.weights if result.network else 0)
 
 
 def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> rows.Recommendation | None:
@@ -146,15 +142,11 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
 
 def _say_hair(best: Run, pairs: Mapping[tuple[str, str], Difference]) -> str:
     """Return a sentence on runs whose verdict against the best is a close call; empty for none."""
-    close = {"noise": [], "worse": []}
-    for (label, other), pair in pairs.items():
-        if other == best.label and pair.verdict in close and pair.by_a_hair:
-            close[pair.verdict].append(label)
-    groups = [
-        f"{', '.join(labels)} ({words})"
-        for words, labels in (("within noise", close["noise"]), ("worse", close["worse"]))
-        if labels
-    ]
+    close = [(label, pair.verdict) for (label, other), pair in pairs.items() if other == best.label and pair.by_a_hair]
+    groups = []
+    for verdict, words in (("noise", "within noise"), ("worse", "worse")):
+        labels = [label for label, given in close if given == verdict]
+        groups += [f"{', '.join(labels)} ({words})"] if labels else []
     return f" Near the limit of noise: {', '.join(groups)}; other rollouts may change this." if groups else ""
 
 
@@ -192,13 +184,6 @@ def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> 
     return value / frictionless - 1 if value is not None and frictionless else None
 
 
-def _list_differences(runs: Sequence[Run]) -> list[rows.OptionDifference]:
-    """Return the options in which the runs differ, except options of the model."""
-    options = differing([run.result.settings | {"engine": run.result.engine} for run in runs], NAMED)
-    labels = [run.label for run in runs]
-    return [rows.OptionDifference(name, dict(zip(labels, values, strict=True))) for name, values in options.items()]
-
-
 def _by_horizon(runs: Sequence[Run]) -> rows.ErrorGrowth:
     timestep = runs[0].result.data.timestep
     curves = {run.label: error_by_horizon(np.abs(_residual(run)).mean(axis=2), timestep) for run in runs}
@@ -210,21 +195,14 @@ def _by_local(runs: Sequence[Run], signal: str) -> rows.BinnedErrors:
     """Return the error of the short rollouts in bins of a measured quantity."""
     measured = getattr(runs[0].curves, signal)
     members = bin_evenly(measured)
+    bins = [measured[windows] for windows in members]
     return rows.BinnedErrors(
-        centre=[float(measured[windows].mean()) for windows in members],
-        low=[float(measured[windows].min()) for windows in members],
-        high=[float(measured[windows].max()) for windows in members],
+        centre=[float(inside.mean()) for inside in bins],
+        low=[float(inside.min()) for inside in bins],
+        high=[float(inside.max()) for inside in bins],
         windows=[len(windows) for windows in members],
-        position_mae={
-            run.label: [mean_of_finite(run.curves.local_mae[windows]) for windows in members] for run in runs
-        },
+        position_mae={run.label: [mean_of_finite(run.curves.local_mae[each]) for each in members] for run in runs},
     )
-
-
-def _describe_friction(run: Run) -> rows.FrictionCurve:
-    curves = run.curves
-    by_joint = (values.T.tolist() for values in (curves.friction, curves.friction_low, curves.friction_high))
-    return rows.FrictionCurve(curves.velocity.tolist(), *by_joint)
 
 
 def _describe_autocorrelation(runs: Sequence[Run]) -> rows.Autocorrelation:

@@ -22,13 +22,7 @@ NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench", "teacher
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Finished run.
-
-    Attributes:
-        label: Unique name in a comparison: its model, and its difference from other runs of that model.
-        result: Content of its `result.json`.
-        curves: Content of its `curves.safetensors`.
-    """
+    """Finished run: its unique name in a comparison, its folder, and the contents of its two files."""
 
     label: str
     folder: Path
@@ -51,11 +45,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
 
 
 def gather(runs: Sequence[Run]) -> list[Run]:
-    """Check that runs are comparable, and return them with unique labels: the model and, if needed, differing options.
-
-    Raises:
-        RunError: Two runs are not comparable.
-    """
+    """Return runs with unique labels: the model and, if needed, differing options; RunError if not comparable."""
     for run in runs:
         if run.result["card"]:
             raise RunError(f"{run.folder}: a card without recordings, expected the folder of a run; name its run")

@@ -13,11 +13,11 @@ Numbers = Float[np.ndarray, "_"]
 
 
 class Spread(NamedTuple):
-    """Spread of one parameter of one joint, or of joints that share a value.
+    """Spread of one parameter of one joint, or of joints that share a value, in the parameter's unit.
 
     Attributes:
-        mean: Mean over the units, in the parameter's unit; geometric for `scale: log`.
-        run: Standard deviation between recordings of a unit, in the same unit; NaN if no unit was recorded twice.
+        mean: Mean over the units; geometric for `scale: log`.
+        run: Standard deviation between recordings of a unit; NaN if no unit was recorded twice.
         unit: Standard deviation between units; NaN for one unit. With one recording per unit, it includes `run`.
         error: Standard error of the mean.
     """
@@ -88,7 +88,6 @@ def _moments(value: Numbers, variance: Numbers) -> tuple[float, float]:
 
 
 def _read(drive: FittedDrive) -> dict[str, tuple[float, float, str | float]]:
-    """Return coordinate, variance and scale of each identifiable parameter."""
     row = drive.result.covariance
     if row is None:
         raise RunError(
