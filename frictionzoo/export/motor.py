@@ -16,8 +16,7 @@ from frictionzoo.bench.actuators.recorded_pd import RecordedPD
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.state import Signals
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import list_values, read_number
+from frictionzoo.export.base import list_values, read_optional
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import simulate
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -26,6 +25,16 @@ INPUTS: Mapping[str, str] = {
     "gain": "of a servo's firmware; the recordings' median where it is left out",
     "supply": "of a servo [V]; the recordings' median where it is left out",
 }
+MOTOR: Mapping[str, str] = {
+    "stiffness": "stiffness",
+    "damping": "damping",
+    "saturation_effort": "torque",
+    "velocity_limit": "velocity",
+    "effort_limit": "torque",
+}
+"""Dimension of each attribute of a `Motor`."""
+LIMITS = tuple(MOTOR)[2:]
+"""Attributes that limit its torque."""
 _SAID: Mapping[str, str] = {
     "torque_low": "The torque's range is not symmetrical; limits in the file are those of its upper end.",
     "torque_saturation": "It has no smooth saturation: the torque that this approaches is a hard limit in the file.",
@@ -90,7 +99,7 @@ def read_inputs(fitted: FittedDrive, options: Mapping[str, str]) -> dict[str, fl
     """Return inputs of the actuator model, such as gain and supply: given values, or medians over the test rollouts."""
     names = fitted.bench.actuator.inputs
     medians = {name: float(np.median(signal)) for name, signal in fitted.segments.acting.inputs.items()}
-    requested = {name: read_number(options, name) for name in INPUTS}
+    requested = {name: read_optional(options, name) for name in INPUTS}
     return medians | {name: value for name, value in requested.items() if value is not None and name in names}
 
 
@@ -171,7 +180,7 @@ def run_joints(
         model.actuator_ctrllimited[own] = model.actuator_forcelimited[own] = 0  # the motor's limits are in it
     aims_of = aim(fitted, [joint.motor for joint in joints])
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+    def step(data: mujoco.MjData, signals: Signals) -> None:
         for index, (joint, aimed) in enumerate(zip(joints, aims_of(signals), strict=True)):
             data.ctrl[index] = joint.motor.torque(float(aimed), float(data.qpos[index]), float(data.qvel[index]))
         mujoco.mj_step(model, data)
@@ -239,6 +248,6 @@ def say_common(
                 "that reason."
             )
     delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values.get("delay", ())))
-    words = {**UNITS[fitted.bench.joint_type], "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}
+    words = {**fitted.units, "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}
     said = {name: sentence for name, sentence in _SAID.items() if name in values and name not in held}
     return limits + [sentence.format(list_values(values[name]), **words) for name, sentence in said.items()]

@@ -15,7 +15,7 @@ from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
-from frictionzoo.export.skeleton import DRAKE, WORLD, JointedLink, build, list_numbers, read_links, run_links, say_lacks
+from frictionzoo.export.skeleton import DRAKE, WORLD, JointedLink, build, read_links, run_links, say_lacks
 from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.urdf"
@@ -63,18 +63,18 @@ def write_urdf(fitted: FittedDrive, nearest: Nearest, drives: list[Motor]) -> st
 def _write_link(link: JointedLink) -> tuple[ET.Element, ET.Element]:
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": in_full(link.inertia[i, j]) for i in range(3) for j in range(i, 3)}
     inertial = build(
-        *("inertial", build("origin", {"xyz": list_numbers(link.com), "rpy": "0 0 0"})),
+        *("inertial", build("origin", {"xyz": in_full(link.com), "rpy": "0 0 0"})),
         *(build("mass", {"value": in_full(link.mass)}), build("inertia", entries)),
     )
     slide = {"lower": f"-{_NONE}", "upper": _NONE, "effort": _NONE, "velocity": _NONE}
     moving = [
-        build("axis", {"xyz": list_numbers(link.axis)}),
+        build("axis", {"xyz": in_full(link.axis)}),
         build("limit", slide) if link.kind == "slide" else None,
         build("dynamics", {"damping": in_full(link.damping), "friction": in_full(link.friction)}),
     ]
     joint = build(
         *("joint", {"name": link.joint, "type": _KINDS[link.kind]}),
-        build("origin", {"xyz": list_numbers(link.pos), "rpy": list_numbers(link.rpy)}),
+        build("origin", {"xyz": in_full(link.pos), "rpy": in_full(link.rpy)}),
         *(build("parent", {"link": link.parent}), build("child", {"link": link.name})),
         *(() if link.kind == "fixed" else moving),
     )
