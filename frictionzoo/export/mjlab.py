@@ -25,6 +25,7 @@ from frictionzoo.export.motor import (
     read_inputs,
     run_joints,
     say_common,
+    say_inputs,
     say_not_run,
 )
 from frictionzoo.export.mujoco_c import LAWS as BRISTLES
@@ -131,11 +132,10 @@ def _write_bam(fitted: FittedDrive, folder: Path, options: Mapping[str, str]) ->
     nearest = Nearest.frictionless(fitted)
     reason = ", ".join([*lacks, *list_lacks(fitted, nearest)])
     torque, qpos = compare_files(fitted, [folder / file for file in parameters], reason, inputs)
-    listed = ", ".join(f"{name} {given[name]:g}" for name in INPUTS)
     limits = (
         say_not_run(Mjlab.program),
         *say_common(fitted, nearest, {}),
-        f"The servo's inputs are fixed: {listed}, always enabled; vin_range= draws the supply.",
+        f"The servo's inputs are fixed: {say_inputs(given)}, always enabled; vin_range= draws the supply.",
         "BAM ends the torque at that of standstill, also when braking adds back-EMF to it.",
         "BAM 1.0.2 asks for mjlab 1.3 and Python 3.12; install it with --no-deps beside mjlab 1.6.",
         KT,

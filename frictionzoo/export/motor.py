@@ -216,6 +216,11 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest, held: Collection[str] = ()
     return reasons + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
 
 
+def say_inputs(inputs: Mapping[str, float]) -> str:
+    """List gain and supply of a servo with their values; empty for another drive."""
+    return ", ".join(f"{name} {inputs[name]:g}" for name in INPUTS if name in inputs)
+
+
 def say_not_run(program: str) -> str:
     """Say that the file's own program did not run."""
     return (
@@ -239,8 +244,7 @@ def say_common(
     if commands and (values["torque_gain"] != 1).any():
         listed = list_values(values["torque_gain"])
         limits.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
-    if inputs.keys() & INPUTS.keys():
-        listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
+    if listed := say_inputs(inputs):
         limits.append(f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain.")
         if not held:
             limits[-1] += (

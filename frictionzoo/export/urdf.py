@@ -13,7 +13,7 @@ from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Export, Target, measure, register_target
-from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
+from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs, say_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import DRAKE, WORLD, JointedLink, build, read_links, run_links, say_lacks
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -109,8 +109,7 @@ def _say(fitted: FittedDrive, nearest: Nearest, drives: list[Motor], inputs: Map
     ]
     if not drives:
         return [*limits, "The command is an effort: what makes one of the recorded commands is not in the file."]
-    if inputs.keys() & INPUTS.keys():
-        listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
+    if listed := say_inputs(inputs):
         limits.append(f"Gains in <param> are those at {listed}.")
     exact = [lack for lack in list_lacks(fitted, nearest) if lack not in (nearest.lacks, "delays are whole steps")]
     return limits + ([f"Gains in <param> leave out: {', '.join(exact)}."] if exact else [])
