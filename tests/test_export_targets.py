@@ -529,7 +529,7 @@ def test_another_time_step_says_what_it_changes(run_folder, tmp_path, capsys):
         (["mjcf"], "mjcf: expected KEY=VALUE"),
         (["target=mjcf", "target=mjx"], "target=mjx: target is given twice"),
         (["target=mujoco", "into=robot.xml"], "into: unknown option of target=mujoco"),
-        (["target=mjcf", "timestep=fast"], "timestep=fast; expected a number"),
+        (["target=mjcf", "timestep=fast"], "timestep=fast: expected a number"),
         (["target=mjcf", "timestep=-1"], "timestep=-1; expected steps"),
         (["target=mjcf", "output=taken"], "taken/export.json: not written by this program"),
     ],

@@ -22,9 +22,8 @@ from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.build import build
 from frictionzoo.core.config import check_overrides, compose_config, list_options, read_value
 from frictionzoo.core.declared import section_of
-from frictionzoo.core.errors import ConfigError, FrictionzooError
+from frictionzoo.core.errors import ConfigError, FrictionzooError, read_number
 from frictionzoo.core.state import DriveState
-from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
 from frictionzoo.identification import problem
 from frictionzoo.models import get_model, model_names
@@ -177,10 +176,7 @@ def test_an_argument_that_no_job_can_mean_is_refused() -> None:
     ("read", "argument"),
     [
         (lambda argument: restore_overrides([argument]), "resume="),
-        *[
-            (lambda argument: read_number({"timestep": argument[9:]}, "timestep"), f"timestep={x}")
-            for x in ("nan", "[1]")
-        ],
+        *[(lambda argument: read_number("timestep", argument[9:]), f"timestep={x}") for x in ("nan", "[1]")],
         *[(read_value, argument) for argument in ("seed=[", "fit.tries='", "loop={chunk")],
     ],
 )

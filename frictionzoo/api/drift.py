@@ -89,14 +89,10 @@ def drift(
     _refuse_incomparable(drives)
     reason, now = "", None
     try:
-        now = Identified.of(repeat_fit(drives[0], logs if isinstance(logs, Logs) else Logs.of(_list(logs))))
+        now = Identified.of(repeat_fit(drives[0], Logs.of(logs)))
     except (FaultError, FitError) as error:
         reason = str(error)
     return Drifted(judge_drift(drives, now, alarm, smallest, reason), now)
-
-
-def _list(logs: Log | Sequence[Log]) -> Sequence[Log]:
-    return [logs] if isinstance(logs, Log) else logs
 
 
 def _refuse_incomparable(drives: Sequence[FittedDrive]) -> None:
@@ -109,8 +105,8 @@ def _refuse_incomparable(drives: Sequence[FittedDrive]) -> None:
             why = drive.result.no_intervals or "the data determine none of its parameters"
             raise RunError(f"{drive.place}: {why}, expected intervals to compare; use a run that has them")
         _refuse_changed_file(drive)
-        for what, of in (("joints", "joints"), ("model", "model")):
-            own, expected = drive.result[of], first.result[of]
+        for what in ("joints", "model"):
+            own, expected = drive.result[what], first.result[what]
             if own != expected:
                 raise RunError(f"{drive.place}: {what} {own}, expected {expected} as in {first.place}; leave it out")
         if body := _find_other_body(drive.bench.compile(constraint=False), first.bench.compile(constraint=False)):

@@ -96,9 +96,9 @@ class Identified(FittedDrive):
         Raises:
             FrictionzooError: The target or an option is unknown, or the target cannot represent the drive.
         """
-        from frictionzoo.export.write import as_text, export_to
+        from frictionzoo.export.write import export_to
 
-        return export_to(self, target, Path(path), {name: as_text(value) for name, value in options.items()})
+        return export_to(self, target, Path(path), options)
 
     def __repr__(self) -> str:
         """Return parameters with intervals, test errors with and without friction, and warnings."""

@@ -180,7 +180,7 @@ def identify(
     refuse_late_fork()
     refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
     _refuse_unknown(law)
-    recordings = _gather(logs).dividing(test)
+    recordings = Logs.of(logs).dividing(test)
     fit = METHODS.get(method)() if isinstance(method, str) else method
     refuse_unlike("method", fit, Fit, f"a name, {', '.join(METHODS.names())}, or such an object")
     sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
@@ -232,7 +232,7 @@ def compare(
         raise ConfigError(f"laws={laws!r}; expected several, as in ['baseline', 'coulomb_smooth']")
     for law in laws:
         _refuse_unknown(law)  # before the first fit
-    recordings, drives, failures = _gather(logs), [], []
+    recordings, drives, failures = Logs.of(logs), [], []
     for law in laws:
         try:
             drives.append(identify(bench, law, recordings, **how))
@@ -299,10 +299,6 @@ def _refuse_unknown(law: str | FrictionModel | Mapping[str, Any]) -> None:
     if not hasattr(law, "name"):
         kind = type(law).__name__
         raise ModelError(f'{kind}: no name, expected a registered law; decorate it @register_model("{kind.lower()}")')
-
-
-def _gather(logs: Logs | Log | Sequence[Log]) -> Logs:
-    return logs if isinstance(logs, Logs) else Logs.of([logs] if isinstance(logs, Log) else logs)
 
 
 def _is_path(recording: Any) -> bool:

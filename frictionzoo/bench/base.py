@@ -15,6 +15,7 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.delay import write_delay
+from frictionzoo.bench.interval import MOST_STEPS, count_substeps, refuse_interval
 from frictionzoo.bench.signals import add_inputs, pair_log, refuse_columns, say_lacking
 from frictionzoo.bench.template import INTEGRATORS, Joints, Template, in_full, read_options, read_solreffriction
 from frictionzoo.core.described import Described
@@ -33,7 +34,6 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "torque_offset": {"init": 0.0, "low": -20.0, "high": 20.0, "scale": 1.0, "identify": False},
 }
 """Default parameter sections: armature of a servo joint [kg m^2], no delay [s], no offsets [rad or m, N m or N]."""
-_MOST = 10_000  # simulation steps per sample, and samples of the longest delay of commands
 _OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # offset of a sensor or cable, phase of a gear
 
 
@@ -162,12 +162,13 @@ class Bench(Described):
             init, high, free = (delay.each(field, self.nv) for field in ("init", "high", "identify"))
             longest = float(np.where(free, high, init).max())
         history = int(np.ceil(longest / interval - 1e-9))
-        if history > _MOST:
+        if history > MOST_STEPS:
             raise ConfigError(
                 f"bench.params.delay: up to {longest:g} s, which are {history} samples, expected at most "
-                f"{_MOST}; lower its init or high"
+                f"{MOST_STEPS}; lower its init or high"
             )
-        return Sampling(interval, self._substeps(interval), history, self.actuator.commands, self.second_order)
+        substeps = count_substeps(interval, self.timestep)
+        return Sampling(interval, substeps, history, self.actuator.commands, self.second_order)
 
     def initial_values(self) -> dict[str, np.ndarray]:
         """Return the initial value of each parameter, of shape (nv,)."""
@@ -376,25 +377,5 @@ class Bench(Described):
             yield part, self._changed(_template=template)
 
     def check_interval(self, interval: float, whose: str) -> None:
-        """Refuse a sample interval [s] that is not a whole number of simulation steps.
-
-        Raises:
-            BenchError: It is not a whole number of steps, or has too many steps.
-        """
-        if (substeps := self._substeps(interval)) > _MOST:
-            raise BenchError(
-                f"{whose}: {interval:.6g} s per sample are {substeps} simulation steps of "
-                f"{self.timestep:.6g} s, expected at most {_MOST}; set a longer bench.timestep"
-            )
-        if not self.fits(interval):
-            raise BenchError(
-                f"{whose}: {interval:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}, or "
-                "a whole number of them; set bench.timestep to the log's interval or a part of it, or resample the log"
-            )
-
-    def fits(self, interval: float) -> bool:
-        """Return whether an interval [s] is within 1 % of a whole number of simulation steps."""
-        return abs(interval / (self._substeps(interval) * self.timestep) - 1) <= 0.01
-
-    def _substeps(self, interval: float) -> int:
-        return max(1, round(interval / self.timestep))
+        """Refuse a sample interval [s] that is not a whole number of simulation steps; see `refuse_interval`."""
+        refuse_interval(interval, self.timestep, whose, self.source)

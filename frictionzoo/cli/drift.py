@@ -3,16 +3,14 @@
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
-
-from omegaconf import DictConfig, OmegaConf
+from typing import Any
 
 from frictionzoo.api.drift import ALARM, FILE, SMALLEST, drift
 from frictionzoo.api.identified import Identified
 from frictionzoo.cli.mistakes import CHANGED, NOT_IDENTIFIED
 from frictionzoo.core import config as conf
 from frictionzoo.core.build import build
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.errors import ConfigError, read_number
 from frictionzoo.core.output import RUN_FILES, claim, refuse_existing
 from frictionzoo.core.telling import say, tell, telling_again
 from frictionzoo.data.files import Files
@@ -35,7 +33,7 @@ def report_drift(runs: Sequence[Path], recordings: Sequence[str], options: Mappi
     """
     folder = Path(options.get("output", time.strftime("outputs/%Y-%m-%d/%H-%M-%S_drift")))
     refuse_existing(folder)  # before the fit
-    numbers = {name: _read_number(name, options[name]) if name in options else _NUMBERS[name] for name in _NUMBERS}
+    numbers = {name: read_number(name, options.get(name, default)) for name, default in _NUMBERS.items()}
     drives = [Identified.load(run) for run in runs]
     own = {option: value for option, value in options.items() if option not in (*_NUMBERS, "output")}
     section = compose_data(drives[0].result.settings, recordings, own)
@@ -61,25 +59,11 @@ def compose_data(settings: Mapping[str, Any], recordings: Sequence[str], options
         if not option.startswith("data."):
             expected = "expected data.*, alarm, smallest or output; all other settings are the run's"
             raise ConfigError(f"{option}: {expected}; leave it out")
-    plain = cast(dict[str, Any], OmegaConf.to_container(conf.compose_config("data=files").data, resolve=True))
+    plain = conf.resolve(conf.compose_config("data=files").data)
     saved = conf.keep_caches_at_home(settings).get("data", {})
-    kept = {key: value for key, value in saved.items() if key in plain} if _is_files(saved) else {}
+    were_files = str(saved.get("_target_", "")).endswith(".Files")
+    kept = {key: value for key, value in saved.items() if key in plain} if were_files else {}
     section = {**plain, **kept, **{key: plain[key] for key in _OF_RUN}, "train": list(recordings)}
     if section["split"].get("by") != "time":
         section["split"] = plain["split"]
-    base = conf.create_literal({"data": section})
-    values = (conf.read_value(f"{option}={value}") for option, value in options.items())
-    config = cast(DictConfig, OmegaConf.merge(base, *values))
-    conf.check_overrides(config, base)
-    return cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
-
-
-def _is_files(section: Mapping[str, Any]) -> bool:
-    return str(section.get("_target_", "")).endswith(".Files")
-
-
-def _read_number(option: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError(f"{option}={text}: expected a number, such as {_NUMBERS[option]:g}") from None
+    return conf.resolve(conf.override(conf.create_literal({"data": section}), options).data)

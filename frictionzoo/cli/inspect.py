@@ -4,17 +4,17 @@ import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.core.build import build
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra, resolve
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.output import claim, write_json
 from frictionzoo.core.telling import say
@@ -50,7 +50,7 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
     from frictionzoo.report.inspection_page import write_page
     from frictionzoo.report.inspection_terminal import summarise
 
-    data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
+    data = resolve(config.data)
     source, joints, joint_type = build(data, Source), (), None
     if bench is not None:
         source, joints, joint_type = source.for_joints(bench.joints, bench.passive), bench.joints, bench.joint_type
@@ -67,7 +67,7 @@ def _build_bench(config: DictConfig) -> Any:
     with contextlib.suppress(FrictionzooError):
         from frictionzoo.bench.given import build_open
 
-        return build_open(cast(dict[str, Any], OmegaConf.to_container(config.bench, resolve=True)))[0]
+        return build_open(resolve(config.bench))[0]
     return None
 
 

@@ -3,15 +3,15 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from frictionzoo import __version__
 from frictionzoo.api.identified import Identified
 from frictionzoo.bench.given import Given
 from frictionzoo.core.build import build
-from frictionzoo.core.config import list_options
+from frictionzoo.core.config import list_options, resolve
 from frictionzoo.core.output import RUN_FILES
 from frictionzoo.core.telling import tell, telling_again
 from frictionzoo.data.cache import digest
@@ -44,7 +44,7 @@ def run_job(
     Raises:
         FrictionzooError: The input is at fault.
     """
-    settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    settings = resolve(config)
     logger = build(settings["logger"], RunLogger)
     parts = Parts.from_settings(settings, given, folder)
     tell("checking the input, compiling")

@@ -5,13 +5,12 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, cast
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.cli.explain import missing_plugin
@@ -30,7 +29,7 @@ from frictionzoo.cli.resume import (
 )
 from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.core.build import build
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra, resolve
 from frictionzoo.core.output import LOGGERS, RUN_FILES, occupy
 from frictionzoo.core.telling import say, tell
 from frictionzoo.core.threads import limit_threads, threads_each
@@ -53,7 +52,7 @@ def _job(config: DictConfig) -> float:
 
     if hydra_config.mode == RunMode.MULTIRUN:
         options = hydra_config.overrides.task
-        finished = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True)) if resumed else None
+        finished = resolve(config) if resumed else None
         # Processes of a launcher have no other handler.
         outlive_readers()
         with stoppable():
@@ -84,7 +83,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
         config, options = restore_settings(folder, config, plain, options)
     alone = hydra_config.mode == RunMode.RUN or choices["hydra/launcher"] == "basic"
     limit_threads(config.threads if alone else threads_each(config.threads))
-    settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    settings = resolve(config)
     if not goes_on:
         SavedRequest(choices, options, settings).save(folder)
     model = choices["model"]

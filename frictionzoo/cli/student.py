@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -79,8 +78,6 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
     composed = conf.compose_config(*choices)
     for group in chosen:
         OmegaConf.update(plain, group, OmegaConf.to_container(composed[group], resolve=False), merge=False)
-    values = (conf.read_value(f"{option}={value}") for option, value in options.items() if option not in chosen)
-    config = cast(DictConfig, OmegaConf.merge(plain, *values))
-    conf.check_overrides(config, plain)
+    config = conf.override(plain, {option: value for option, value in options.items() if option not in chosen})
     config["teacher"] = str(Path(teacher.place).resolve())
     return config

@@ -126,7 +126,7 @@ def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
     OmegaConf.set_struct(config, False)
     config = cast(DictConfig, OmegaConf.merge(config, describe(given)))
     check_overrides(config, plain)
-    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    return resolve(config)
 
 
 def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig) -> DictConfig:
@@ -135,7 +135,7 @@ def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig)
     `before` has the run's choices of files, `after` the command's options too. The logger is the command's. Caches stay
     in the user's folder: compiled functions from a cache are executed, and the saved settings may come from a stranger.
     """
-    plain, changed = (json.loads(json.dumps(OmegaConf.to_container(part, resolve=True))) for part in (before, after))
+    plain, changed = (json.loads(json.dumps(resolve(part))) for part in (before, after))
     merged = _carry_over(keep_caches_at_home(saved), plain, changed)
     return create_literal({**merged, "logger": changed["logger"], "resume": changed["resume"]})
 
@@ -188,6 +188,23 @@ def read_value(option: str) -> DictConfig:
         return OmegaConf.from_dotlist([option])
     except yaml.YAMLError:
         raise ConfigError(f"{option}: cannot be read, expected KEY=VALUE; close quotes and brackets") from None
+
+
+def override(plain: DictConfig, options: Mapping[str, str]) -> DictConfig:
+    """Return a configuration with these options, as text by dotted key.
+
+    Raises:
+        ConfigError: An option does not exist, or its value is not YAML or of the wrong kind.
+    """
+    values = (read_value(f"{key}={value}") for key, value in options.items())
+    config = cast(DictConfig, OmegaConf.merge(plain, *values))
+    check_overrides(config, plain)
+    return config
+
+
+def resolve(config: DictConfig) -> dict[str, Any]:
+    """Return a configuration as dictionaries and lists without references."""
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 
 
 def list_choices(group: str) -> list[str]:

@@ -1,7 +1,9 @@
 """Errors that a user can cause: one line each, with what came, what was expected and what to do."""
 
 import difflib
+import math
 from collections.abc import Iterable
+from typing import Any
 
 from frictionzoo.core.telling import escape_controls
 
@@ -59,6 +61,21 @@ class ExportError(FrictionzooError):
 
 class OutputError(FrictionzooError):
     """Result that cannot be written."""
+
+
+def read_number(option: str, text: Any, kind: type[int] | type[float] = float) -> Any:
+    """Read an option as a number of this kind.
+
+    Raises:
+        ConfigError: It is no finite number.
+    """
+    try:
+        number = kind(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{option}={text}: expected a {'whole ' if kind is int else ''}number; change it")
+    return number
 
 
 def refuse_outside(option: str, value: int | float, low: int | float, high: int | float) -> None:

@@ -46,13 +46,15 @@ class Logs:
     section: Mapping[str, Any]
 
     @classmethod
-    def of(cls, logs: Iterable[Log]) -> "Logs":
-        """Collect logs in memory, each as one recording.
+    def of(cls, logs: "Logs | Log | Iterable[Log]") -> "Logs":
+        """Collect logs in memory, each as one recording; `Logs` stay as they are.
 
         Raises:
             LogError: There are no logs.
             ConfigError: An element is not a `Log`.
         """
+        if isinstance(logs, Logs):
+            return logs
         items: list[Any] = list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
         if not items:
             raise LogError("logs: none, expected at least one recording")

@@ -23,7 +23,7 @@ from frictionzoo.fit import Space
 from frictionzoo.fit.uncertainty import WIDEST
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.result.fitted_drive import FittedDrive
-from frictionzoo.result.names import label_values
+from frictionzoo.result.names import list_widths
 from frictionzoo.simulation.context import computing
 from frictionzoo.simulation.drive import Drive
 
@@ -37,17 +37,12 @@ class DesignedCommand:
         inputs: Further commands of the actuator model by name.
         interval: Time between samples [s].
         note: Content of `excitation.json`.
-        points: Trajectory points per second.
-        fps: Actions per second.
     """
 
     motion: Motion
     inputs: Mapping[str, Float[np.ndarray, "samples nv"]]
     interval: float
-    joints: tuple[str, ...]
     note: Mapping[str, Any]
-    points: float
-    fps: float
 
 
 def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> DesignedCommand:
@@ -96,7 +91,7 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Design
     }
     inputs = {"ctrl_velocity": speed} | {name: np.tile(value, (len(ctrl), 1)) for name, value in task.constants.items()}
     commands = {name: inputs[name] for name in task.bench.actuator.commands}
-    return DesignedCommand(motion, commands, series.interval, task.bench.joints, note, plan.points, plan.fps)
+    return DesignedCommand(motion, commands, series.interval, note)
 
 
 def prepare(request: Request, run: FittedDrive | None) -> Task:
@@ -189,7 +184,7 @@ def _list_parameters(
 ) -> list[dict[str, Any]]:
     """List a row for each coordinate: value, expected accuracy and present accuracy."""
     space = task.space
-    rows, present = relative(space, task.vector, half), {} if run is None else _share_now(run)
+    rows, present = relative(space, task.vector, half), {} if run is None else list_widths(run.result.parameters)
     units = {name: param.unit(task.bench.joint_type) for name, param in space.params.items()}
     return [
         {
@@ -203,16 +198,6 @@ def _list_parameters(
         }
         for (label, (value, width, share)), half_coordinate in zip(rows.items(), half.tolist(), strict=True)
     ]
-
-
-def _share_now(run: FittedDrive) -> dict[str, float]:
-    """Return half of each confidence interval of a run as a share of the value, by the parameter's label."""
-    rows = {label: row for p in run.result.parameters for label, row in label_values(p).items()}
-    return {
-        label: (row.interval[1] - row.interval[0]) / abs(2 * row.value)
-        for label, row in rows.items()
-        if row.interval is not None and row.value
-    }
 
 
 def _list_limits(

@@ -5,17 +5,17 @@ from dataclasses import dataclass, fields
 from typing import Any, TypeVar, cast
 
 import yaml
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from frictionzoo.core.config import (
-    check_overrides,
     compose_config,
     create_literal,
     keep_caches_at_home,
     list_choices,
-    read_value,
+    override,
+    resolve,
 )
-from frictionzoo.core.errors import ConfigError, closest, refuse_outside
+from frictionzoo.core.errors import ConfigError, closest, read_number, refuse_outside
 from frictionzoo.design.design import SearchOptions
 from frictionzoo.design.information import SensorNoise
 from frictionzoo.design.series import Series
@@ -27,7 +27,6 @@ LIMITS = ("position", "velocity", "torque")
 _GROUPS = ("bench", "model", "data", "experiment")
 _OF_A_RUN = ("bench", "model", "scale", "segments.length", "loss.position", "loss.velocity", "engine", "device")
 _INPUTS = "inputs."
-_KINDS = {float: "a number", int: "a whole number", str: "a name"}
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class Request:
         for name in LIMITS:
             if name not in limits:
                 raise ConfigError(f"{name} is missing; state what the drive may do: position=1.5 velocity=4 torque=2")
-        inputs = {name: _number(name, remaining.pop(name)) for name in [*remaining] if name.startswith(_INPUTS)}
+        inputs = {name: read_number(name, remaining.pop(name)) for name in [*remaining] if name.startswith(_INPUTS)}
         named = {name.removeprefix(_INPUTS): value for name, value in inputs.items()}
         return cls(plan, noise, search, limits, named, _settle(remaining, run))
 
@@ -135,10 +134,7 @@ def _settle(options: Mapping[str, str], run: FittedDrive | None) -> dict[str, An
         OmegaConf.set_struct(plain, False)
     else:
         plain = create_literal(keep_caches_at_home(run.result.settings))
-    values = [read_value(f"{name}={value}") for name, value in options.items() if name not in chosen]
-    config = cast(DictConfig, OmegaConf.merge(plain, *values))
-    check_overrides(config, plain)
-    settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    settings = resolve(override(plain, {name: value for name, value in options.items() if name not in chosen}))
     if run is None and "segments.length" not in options:
         settings["segments"]["length"] = None
     return {**settings, "model": complete_laws(settings["model"], settings)}
@@ -150,15 +146,8 @@ def _take(part: type[Part], options: dict[str, str]) -> Part:
     for field in fields(part):
         if field.name in options:
             text, kind = options.pop(field.name), cast(type, field.type)
-            arguments[field.name] = text if kind is str else _number(field.name, text, kind)
+            arguments[field.name] = text if kind is str else read_number(field.name, text, kind)
     return part(**arguments)
-
-
-def _number(name: str, text: str, kind: type = float) -> Any:
-    try:
-        return kind(text)
-    except ValueError:
-        raise ConfigError(f"{name}={text}: expected {_KINDS[kind]}") from None
 
 
 def _parse(name: str, text: str) -> Any:

@@ -3,12 +3,10 @@
 import json
 import shlex
 from collections.abc import Iterator, Mapping
-from typing import Any, cast
-
-from omegaconf import OmegaConf
+from typing import Any
 
 from frictionzoo.bench import Bench
-from frictionzoo.core.config import compose_config, list_choices, list_options
+from frictionzoo.core.config import compose_config, list_choices, list_options, resolve
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_joint import ByJoint
 
@@ -57,8 +55,7 @@ def _list_drive_options(settings: Mapping[str, Any]) -> list[str]:
 def _differ(wanted: Mapping[str, Any], bench: str) -> list[str]:
     """List the options that this bench file needs; options chosen by a recipe stay open."""
     chosen = [f"bench={bench}"] if bench else []
-    composed = OmegaConf.to_container(compose_config("data=files", "recipe=given", *chosen), resolve=True)
-    present = dict(_list_leaves(cast(dict[str, Any], composed)))
+    present = dict(_list_leaves(resolve(compose_config("data=files", "recipe=given", *chosen))))
     return chosen + [
         f"{'' if name in present else '+'}{name}={_write(value)}"
         for name, value in wanted.items()

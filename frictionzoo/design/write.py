@@ -54,14 +54,14 @@ def actions(joints: Sequence[str], time: Signal, motion: Motion, fps: float) -> 
 
 def files_of(designed: DesignedCommand) -> dict[str, bytes]:
     """Write all files of a command; return their content by name."""
-    joints, motion = designed.joints, designed.motion
+    joints, motion, plan = designed.note["joints"], designed.motion, designed.note["command"]
     time = designed.interval * np.arange(len(motion.ctrl))
     command = {"ctrl": motion.ctrl, **designed.inputs}
     return {
         "command.csv": table(joints, time, command),
         "expected.csv": table(joints, time, {"qpos": motion.qpos, "qvel": motion.qvel, **command}),
-        "trajectory.yaml": trajectory(joints, time, motion, 1 / designed.points),
-        "actions.json": actions(joints, time, motion, designed.fps),
+        "trajectory.yaml": trajectory(joints, time, motion, 1 / plan["points"]),
+        "actions.json": actions(joints, time, motion, plan["fps"]),
     }
 
 

@@ -14,9 +14,8 @@ from jaxtyping import Float
 from frictionzoo import __version__
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.state import Signals
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Deviation, Export, Target, match_joint, measure, register_target
-from frictionzoo.export.drive_network import DriveNetwork, History, read_network
+from frictionzoo.export.base import Export, Target, match_joint, measure, register_target
+from frictionzoo.export.drive_network import DriveNetwork, History
 from frictionzoo.export.module import render
 from frictionzoo.export.motor import INPUTS, Motor, aim, list_lacks, motors, read_inputs, say_common
 from frictionzoo.export.nearest import Nearest
@@ -78,15 +77,16 @@ class ActuatorNet(Target):
         loaded = [load_script(folder / f"{file.name}.pt") for file in files]
         qpos, rows = roll(fitted, nearest, drives, files, loaded)
         reason = ", ".join(list_lacks(fitted, nearest, HELD)) or "a different history before the rollout"
-        position = measure("qpos", fitted, qpos, fitted.rollout()[0], reason=reason)
-        torques = [
-            compare_onnx(fitted, folder / f"{file.name}.onnx", run, inputs)
-            for file, run, inputs in zip(files, loaded, rows, strict=True)
-        ]
+        differences = [measure("qpos", fitted, qpos, fitted.rollout()[0], reason=reason)]
+        for file, run, states in zip(files, loaded, rows, strict=True):
+            (came,) = run_onnx(folder / f"{file.name}.onnx", {"x": states})
+            over = f"{len(states)} states of {file.name}.onnx in ONNX Runtime"
+            torque = run(states).double().numpy()
+            differences.append(measure("torque", fitted, came.astype(np.float64), torque, over))
         step = f"The network is valid for simulation steps of {fitted.timestep:g} s, as in its training."
         limits = (*LIMITS, step, *say_common(fitted, nearest, inputs, HELD))
         names = [f"{file.name}.{ending}" for file in files for ending in ("pt", "onnx")]
-        return Export((*names, *CONFIGS), (position, *torques), limits)
+        return Export((*names, *CONFIGS), tuple(differences), limits)
 
 
 def take_friction(fitted: FittedDrive) -> Nearest:
@@ -117,14 +117,14 @@ def group_joints(fitted: FittedDrive, drives: Sequence[Motor]) -> list[NetworkFi
     """Return a network for each group of joints with the same motor, delay and weights."""
     bench, groups = fitted.values["bench"], dict[Any, list[int]]()
     for joint, drive in enumerate(drives):
-        law = fitted.model.of_joint(joint)[2]
-        extra = [float(bench[name][joint]) for name in ("delay", "torque_offset") if name in bench]
-        groups.setdefault((drive, law, *extra), []).append(joint)
+        delay, offset = (float(bench[name][joint]) if name in bench else 0.0 for name in HELD)
+        groups.setdefault((drive, fitted.model.of_joint(joint)[2], delay, offset), []).append(joint)
     files = []
-    for number, joints in enumerate(groups.values()):
-        network = read_network(fitted, drives[joints[0]], joints[0])
+    for number, ((motor, _, delay, offset), joints) in enumerate(groups.items()):
+        law = fitted.model.of_joint(joints[0])[0]
+        assert isinstance(law, ActuatorNetwork)
         name = "actuator_net" if len(groups) == 1 else f"actuator_net_{number}"
-        files.append(NetworkFile(name, network, tuple(joints)))
+        files.append(NetworkFile(name, DriveNetwork(motor, law, fitted.timestep, delay, offset), tuple(joints)))
     return files
 
 
@@ -156,7 +156,7 @@ def write_config(fitted: FittedDrive, folder: Path, name: str, nearest: Nearest,
         joints.append({"name": label, "pattern": match_joint(label), "file": file.name, "steps": steps, **dict(named)})
     text = render(
         "actuator_net.py.jinja",
-        **{"program": program, "module": module, "cls": cls, "joints": joints, "units": UNITS[fitted.bench.joint_type]},
+        **{"program": program, "module": module, "cls": cls, "joints": joints, "units": fitted.units},
         **{"timestep": f"{fitted.timestep:g}", "scale": SCALE, "order": ORDER, "unreached": UNREACHED},
     )
     (folder / name).write_text(text, encoding="utf-8")
@@ -178,14 +178,14 @@ def roll(
     kept: list[list[torch.Tensor]] = [[] for _ in files]
     history = History(np.zeros((1, fitted.bench.nv)), np.zeros((1, fitted.bench.nv)))
 
-    def begin(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
+    def begin(data: mujoco.MjData, rollout: int) -> None:
         nonlocal history
         before = aims_of(commands_before(fitted, rollout))[::-1]
         before = np.concatenate([before, np.repeat(before[-1:], max(0, steps - len(before)), axis=0)])[:steps]
         passed = fitted.timestep * np.arange(1, steps + 1)[:, None]
         history = History(before - data.qpos + passed * data.qvel, np.repeat(data.qvel[None], steps, axis=0))
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+    def step(data: mujoco.MjData, signals: Signals) -> None:
         history.push(aims_of(signals) - data.qpos, data.qvel)
         for file, run, rows in zip(files, loaded, kept, strict=True):
             inputs = history.read(file.network.steps, file.joints)
@@ -196,12 +196,3 @@ def roll(
 
     qpos = simulate(model, fitted, step, begin, late=False)
     return qpos, [torch.cat(rows) for rows in kept]
-
-
-def compare_onnx(
-    fitted: FittedDrive, path: Path, run: Callable[[torch.Tensor], torch.Tensor], inputs: torch.Tensor
-) -> Deviation:
-    """Compare the torque of the ONNX file with the TorchScript file's."""
-    (came,) = run_onnx(path, {"x": inputs})
-    over = f"{len(inputs)} states of {path.name} in ONNX Runtime"
-    return measure("torque", fitted, came.astype(np.float64), run(inputs).double().numpy(), over)

@@ -15,14 +15,14 @@ from scipy.optimize import nnls
 
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.bench.read_bam import DUTY, LAWS, load_parameters, read_bench
-from frictionzoo.core.errors import ConfigError, ExportError, closest
+from frictionzoo.core.errors import ExportError
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
-from frictionzoo.export.base import Deviation, Export, Target, measure, register_target
+from frictionzoo.export.base import Deviation, Export, Target, measure, read_choice, register_target
 from frictionzoo.export.graph import compare
 from frictionzoo.export.motor import lag
 from frictionzoo.export.nearest import evaluate_law
-from frictionzoo.export.simulate import Step, simulate, step_with_control
+from frictionzoo.export.simulate import simulate
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.result.fitted_drive import FittedDrive
 
@@ -182,13 +182,10 @@ def _motor(fitted: FittedDrive, joint: int, actuator: str) -> dict[str, float]:
 
 def _choose_actuator(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[str, list[str]]:
     gain = float(fitted.values["bench"]["duty_gain"][0])
-    requested = options.get("servo")
-    if requested is not None and requested not in DUTY:
-        raise ConfigError(f"servo={requested}: unknown; {closest(requested, DUTY)}")
-    chosen = requested or min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
-    remarks = (
-        [] if requested else [f"servo={chosen} was chosen by its gain; set servo to another name in BAM if wrong."]
-    )
+    nearest = min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
+    chosen, remarks = read_choice({"servo": nearest, **options}, "servo", DUTY), list[str]()
+    if "servo" not in options:
+        remarks.append(f"servo={chosen} was chosen by its gain; set servo to another name in BAM if wrong.")
     if chosen != "sts3215" and not np.isclose(gain, DUTY[chosen][0], rtol=1e-3):
         remarks.append(f"BAM's {chosen} has a duty cycle of {DUTY[chosen][0]:.4g} per radian and gain, not {gain:.4g}.")
     limit = float(fitted.values["bench"]["duty_limit"][0])
@@ -216,7 +213,17 @@ def compare_files(
     if inputs is not None:
         stall = inputs["supply"] * stacked["kt_over_r"]
         model.actuator_forcelimited[:], model.actuator_forcerange[:] = 1, np.stack([-stall, stall], axis=1)
-    qpos = simulate(model, written, _step(written, files, inputs))
+
+    def step(data: mujoco.MjData, signals: Signals) -> None:
+        """Do a step of BAM's MuJoCo controller: MuJoCo's friction constraint, set from the state before the step."""
+        external = data.qfrc_passive + model.dof_damping * data.qvel - data.qfrc_bias
+        terms = _budgets(files, DriveState(data.qpos, data.qvel, data.qpos, data.qfrc_actuator, external))
+        model.dof_frictionloss[:], model.dof_damping[:] = terms.frictionloss, terms.damping
+        given = signals.inputs if inputs is None else inputs
+        data.ctrl[:] = written.bench.actuator.control(np, stacked, data.qpos, data.qvel, signals.ctrl, given)
+        mujoco.mj_step(model, data)
+
+    qpos = simulate(model, written, step)
     terms = _budgets(files, fitted.samples)
     return (
         compare(fitted, terms._replace(damping=terms.damping - fitted.bench.own_damping), "BAM's formula"),
@@ -229,18 +236,3 @@ def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
     terms = [friction_budget(data, joint_state) for data, joint_state in zip(files, states, strict=True)]
     loss, damping = (np.stack([getattr(term, name) for term in terms], -1) for name in ("frictionloss", "damping"))
     return FrictionTerms(frictionloss=loss, damping=damping)
-
-
-def _step(
-    written: FittedDrive, files: list[dict[str, Any]], inputs: Mapping[str, Float[np.ndarray, "nv"]] | None
-) -> Step:
-    """Return a step of BAM's MuJoCo controller: MuJoCo's friction constraint, set from the state before the step."""
-    advance = step_with_control(written)
-
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
-        external = data.qfrc_passive + model.dof_damping * data.qvel - data.qfrc_bias
-        terms = _budgets(files, DriveState(data.qpos, data.qvel, data.qpos, data.qfrc_actuator, external))
-        model.dof_frictionloss[:], model.dof_damping[:] = terms.frictionloss, terms.damping
-        advance(model, data, signals if inputs is None else signals._replace(inputs=inputs))
-
-    return step

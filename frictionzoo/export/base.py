@@ -2,7 +2,7 @@
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.template import INTEGRATORS
-from frictionzoo.core.errors import ConfigError, ExportError
+from frictionzoo.core.errors import ConfigError, ExportError, closest, read_number
 from frictionzoo.core.registry import KINDS, Registry
-from frictionzoo.core.units import UNITS
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.verdict import FAR
 
@@ -134,7 +133,7 @@ def measure(
     distance, is_position = np.abs(came - expected), quantity == "qpos"
     all_rollouts = is_position and over is None
     error = float(np.abs(fitted.find_errors(came)).mean()) if all_rollouts else None
-    unit = UNITS[fitted.bench.joint_type]["position" if is_position else quantity]
+    unit = fitted.units["position" if is_position else quantity]
     return Deviation(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason, error)
 
 
@@ -148,18 +147,22 @@ def list_values(values: Float[np.ndarray, "nv"]) -> str:
     return f"{values[0]:.4g}" if (values == values[0]).all() else ", ".join(f"{value:.4g}" for value in values)
 
 
-def read_number(options: Mapping[str, Any], name: str) -> float | None:
+def read_choice(options: Mapping[str, str], name: str, choices: Collection[str]) -> str:
+    """Read an option that is one of these choices; the first one if it is not given.
+
+    Raises:
+        ConfigError: There is no such choice.
+    """
+    chosen = options.get(name, next(iter(choices)))
+    if chosen not in choices:
+        raise ConfigError(f"{name}={chosen}: unknown; {closest(chosen, choices)}")
+    return chosen
+
+
+def read_optional(options: Mapping[str, Any], name: str) -> float | None:
     """Read an option as a number; None if it is not given.
 
     Raises:
         ConfigError: The option is not a finite number.
     """
-    if name not in options:
-        return None
-    try:
-        number = float(options[name])
-    except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        raise ConfigError(f"{name}={options[name]}; expected a number; change it")
-    return number
+    return read_number(name, options[name]) if name in options else None

@@ -14,8 +14,7 @@ from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState
 from frictionzoo.core.templates import open_template
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Export, Target, list_values, measure, read_number, register_target
+from frictionzoo.export.base import Export, Target, list_values, measure, read_optional, register_target
 from frictionzoo.export.c_source import run_compiled, write_literal, write_statements
 from frictionzoo.export.graph import list_units
 from frictionzoo.export.nearest import evaluate_law
@@ -51,7 +50,7 @@ class Compensation(Target):
         """See `Target.write`."""
         if isinstance(fitted.model, TorchFriction):
             raise ExportError(f"{fitted.model.name}: it exists only in torch, expected a formula over xp; fit another")
-        compensate = _Law(fitted, *_settings(fitted, options))
+        compensate = _Law(fitted, options)
         text, used = _write_header(fitted, compensate)
         write_atomically(folder / FILE, text.encode())
         samples = fitted.samples
@@ -73,9 +72,14 @@ class _Law:
         share: Largest share of its friction that a slow joint gets back; None for a model that may add energy.
     """
 
-    def __init__(self, fitted: FittedDrive, gain: float, band: float | None, limit: float | None) -> None:
+    def __init__(self, fitted: FittedDrive, options: Mapping[str, str]) -> None:
         samples, nv = fitted.samples, fitted.bench.nv
-        self._fitted, self.gain = fitted, gain
+        gain, band, limit = (read_optional(options, name) for name in ("gain", "dead_band", "limit"))
+        for name, value in (("gain", gain), ("dead_band", band), ("limit", limit)):
+            if value is not None and (value <= 0 or (name == "gain" and value > 1)):
+                upper = " and up to 1" if name == "gain" else ""
+                raise ConfigError(f"{name}={value:g}; expected a number above 0{upper}; change it")
+        self._fitted, self.gain = fitted, GAIN if gain is None else gain
         highest = BAND * np.abs(samples.qvel).max(axis=0)
         self.band = np.where(highest > 0, highest, BAND) if band is None else np.full(nv, band)
         self.limit = np.full(nv, np.inf if limit is None else limit)
@@ -123,7 +127,7 @@ class _Law:
 
     def say_limits(self) -> tuple[str, ...]:
         """Describe accuracy and limits, a sentence each."""
-        model, samples, units = self._fitted.model, self._fitted.samples, UNITS[self._fitted.bench.joint_type]
+        model, samples, units = self._fitted.model, self._fitted.samples, self._fitted.units
         forward, backward = (self.friction(np, samples, way, samples.qvel) for way in (1, -1))
         friction, moving = np.where(samples.qvel > 0, forward, backward), np.abs(samples.qvel) > self.band
         whole = np.square(friction)[moving].sum()
@@ -146,20 +150,9 @@ class _Law:
         return tuple(said)
 
 
-def _settings(fitted: FittedDrive, options: Mapping[str, str]) -> tuple[float, float | None, float | None]:
-    gain, band, limit = (read_number(options, name) for name in ("gain", "dead_band", "limit"))
-    gain = GAIN if gain is None else gain
-    if not 0 < gain <= 1:
-        raise ConfigError(f"gain={gain:g}; expected a number above 0 and up to 1; change it")
-    for name, value in (("dead_band", band), ("limit", limit)):
-        if value is not None and value <= 0:
-            raise ConfigError(f"{name}={value:g}; expected a number above 0; change it")
-    return gain, band, limit
-
-
 def _write_header(fitted: FittedDrive, compensate: _Law) -> tuple[str, list[str]]:
     """Return the header's text, and the names of its inputs in the order of its struct."""
-    names, units = [*fitted.samples.given(), DESIRED], UNITS[fitted.bench.joint_type]
+    names, units = [*fitted.samples.given(), DESIRED], fitted.units
 
     def torque(*signals: Float[Any, "nv"]) -> Any:
         state = DriveState(**dict(zip(names[:-1], signals[:-1], strict=True)))

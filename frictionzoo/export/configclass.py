@@ -10,10 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from frictionzoo.core.templates import write_literal
-from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import Export, Target, match_joint, measure
 from frictionzoo.export.motor import (
     INPUTS,
+    LIMITS,
+    MOTOR,
     Joint,
     Motor,
     lag,
@@ -27,11 +28,6 @@ from frictionzoo.export.motor import (
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.export.variants import at_rest
 from frictionzoo.result.fitted_drive import FittedDrive
-
-LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
-"""Attributes of a `Motor` that limit its torque."""
-MOTOR = {name: name for name in ("stiffness", "damping", *LIMITS)}
-"""Keywords of gains and torque limits, which have the same names in all programs."""
 
 
 class ConfigFile(Target):
@@ -80,7 +76,11 @@ class ConfigFile(Target):
         keys = [f"{write_literal(name)}: " if self.keyed else "" for name in fitted.bench.joints]
         body = "".join(key + call for key, call in zip(keys, calls, strict=True))
         opening, closing = "{}" if self.keyed else "()"
-        preamble = self._import(classes, "**limits(" in body)
+        with_helper = "**limits(" in body
+        names = sorted(classes | ({"ActuatorBaseCfg"} if with_helper else set()))
+        preamble = f"from {self.module} import {', '.join(names)}"
+        if with_helper:
+            preamble = f"from dataclasses import fields\n\n{preamble}\n\n\n{self.helper}\n"
         text = f'"""{self.head}"""\n\n{preamble}\n\nACTUATORS = {opening}\n{indent(body, "    ")}{closing}\n'
         (folder / self.file).write_text(text, encoding="utf-8")
         # If the file has no delay, the caller delays the commands.
@@ -94,12 +94,6 @@ class ConfigFile(Target):
         limits = (say_not_run(self.program), *say_common(fitted, nearest, inputs), *more)
         return Export((self.file,), (difference,), limits)
 
-    def _import(self, classes: set[str], with_helper: bool) -> str:
-        """Return the imports of these classes, and the helper if the file uses it."""
-        names = sorted(classes | ({"ActuatorBaseCfg"} if with_helper else set()))
-        imports = f"from {self.module} import {', '.join(names)}"
-        return f"from dataclasses import fields\n\n{imports}\n\n\n{self.helper}\n" if with_helper else imports
-
     def _configure(
         self, keywords: Mapping[str, str], fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor
     ) -> str:
@@ -109,15 +103,12 @@ class ConfigFile(Target):
         late = bool(properties["delay"][0])
         names = [match_joint(fitted.bench.joints[joint])]
         properties["joint"] = names if self.keyed else tuple(names), ""
-        lines, apart = [f"{self.classes[2 if has_line else late]}("], list[str]()
-        for keyword, name in keywords.items():
-            value, unit = properties[name]
-            if (late or name != "delay") and (name not in LIMITS or np.isfinite(value)):
-                line = f"    {keyword}={write_literal(value)}," + (f"  # {unit}" if unit else "")
-                (apart if keyword in self.apart else lines).append(line)
-        if apart:
-            lines += ["    **limits(", *(f"    {line}" for line in apart), "    ),"]
-        return "\n".join([*lines, "),\n"])
+        if not late:
+            del properties["delay"]
+        arguments = {keyword: properties[name] for keyword, name in keywords.items() if name in properties}
+        apart = {keyword: arguments.pop(keyword) for keyword in self.apart if keyword in arguments}
+        limits = indent(write_call("**limits", apart), "    ") if apart else ""
+        return write_call(self.classes[2 if has_line else late], arguments, limits)
 
     def read(self, text: str, keywords: Mapping[str, str] | None = None) -> list[Joint]:
         """Read each joint from a written file, without running it; `keywords` if not those of the class."""
@@ -135,9 +126,9 @@ def _read_call(call: ast.Call, keywords: Mapping[str, str]) -> Joint:
 
 
 def _list_properties(fitted: FittedDrive, nearest: Nearest, joint: int, motor: Motor) -> dict[str, tuple[Any, str]]:
-    """Return what keywords can have, each with its unit for a comment."""
-    units, torque = UNITS[fitted.bench.joint_type], UNITS[fitted.bench.joint_type]["torque"]
-    return {
+    """Return what keywords can have, each with its unit for a comment, except infinite limits."""
+    units, torque = fitted.units, fitted.units["torque"]
+    properties: dict[str, tuple[Any, str]] = {
         "stiffness": (motor.stiffness, units["stiffness"]),
         "damping": (motor.damping, f"{units['damping']}, of the controller"),
         "saturation_effort": (motor.saturation_effort, f"{torque}, at standstill"),
@@ -149,3 +140,13 @@ def _list_properties(fitted: FittedDrive, nearest: Nearest, joint: int, motor: M
         "frictionloss": (nearest.frictionloss[joint], torque),
         "viscous_damping": (nearest.damping[joint] + fitted.bench.own_damping[joint], units["damping"]),
     }
+    return {name: entry for name, entry in properties.items() if name not in LIMITS or np.isfinite(entry[0])}
+
+
+def write_call(name: str, arguments: Mapping[str, tuple[Any, str]], more: str = "") -> str:
+    """Write a call as an item of a list: one argument per line, each with a comment or an empty one, then `more`."""
+    lines = (
+        f"    {keyword}={write_literal(value)},{comment and f'  # {comment}'}\n"
+        for keyword, (value, comment) in arguments.items()
+    )
+    return "".join([f"{name}(\n", *lines, more, "),\n"])

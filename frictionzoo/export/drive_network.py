@@ -10,7 +10,6 @@ from jaxtyping import Float
 from frictionzoo.export.motor import Motor
 from frictionzoo.models.actuator_network import ActuatorNetwork
 from frictionzoo.models.network import SPAN
-from frictionzoo.result.fitted_drive import FittedDrive
 
 
 class DriveNetwork(torch.nn.Module):
@@ -84,14 +83,6 @@ class DriveNetwork(torch.nn.Module):
         inputs = linear(torque, self.from_torque, self.shift) + linear(x, self.from_velocity)
         share = self.network(inputs.clamp(-SPAN, SPAN)).tanh()
         return linear(torque, self.newest) - linear(share, self.limit)
-
-
-def read_network(fitted: FittedDrive, motor: Motor, joint: int) -> DriveNetwork:
-    """Return the network of a joint with this motor; its friction model is an `ActuatorNetwork`."""
-    bench, law = fitted.values["bench"], fitted.model.of_joint(joint)[0]
-    assert isinstance(law, ActuatorNetwork)
-    delay, offset = (float(bench[name][joint]) if name in bench else 0.0 for name in ("delay", "torque_offset"))
-    return DriveNetwork(motor, law, fitted.timestep, delay, offset)
 
 
 class History:

@@ -11,11 +11,9 @@ import numpy as np
 import torch
 
 from frictionzoo import __version__
-from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Deviation, Export, Target, measure
+from frictionzoo.export.base import Deviation, Export, Target, measure, read_choice
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -59,7 +57,7 @@ def signals(model: FrictionModel) -> tuple[str, ...]:
 
 def list_units(fitted: FittedDrive) -> tuple[dict[str, str], dict[str, str]]:
     """Return the unit of each input, and of each output, of a model's file, by name."""
-    units = UNITS[fitted.bench.joint_type]
+    units = fitted.units
     states = {"qpos": units["position"], "qvel": units["velocity"], "ctrl": "as it was recorded"}
     states |= dict.fromkeys(("motor_torque", "external_torque"), units["torque"])
     outputs = {"torque": units["torque"], "frictionloss": units["torque"], "damping": units["damping"]}
@@ -108,10 +106,8 @@ class GraphFile(Target):
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        name, model, samples, path = options.get("dtype", "float64"), fitted.model, fitted.samples, folder / self.file
-        if name not in DTYPES:
-            raise ConfigError(f"dtype={name}: unknown; {closest(name, DTYPES)}")
-        dtype, input_names = DTYPES[name], signals(model)
+        model, samples, path = fitted.model, fitted.samples, folder / self.file
+        dtype, input_names = DTYPES[read_choice(options, "dtype", DTYPES)], signals(model)
         # A batch of one would be traced as a constant size.
         rows = {name: torch.ones(2, model.nv, dtype=dtype) for name in input_names}
         write_atomically(path, self.serialise(Graph(model, dtype), rows, fitted))

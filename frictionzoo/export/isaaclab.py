@@ -5,10 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from frictionzoo.core.errors import ConfigError, closest
-from frictionzoo.export.base import register_target
-from frictionzoo.export.configclass import MOTOR, ConfigFile
-from frictionzoo.export.motor import INPUTS, Motor, lag
+from frictionzoo.export.base import read_choice, register_target
+from frictionzoo.export.configclass import ConfigFile
+from frictionzoo.export.motor import INPUTS, MOTOR, Motor, lag
 from frictionzoo.result.fitted_drive import FittedDrive
 
 VERSIONS = "2.3 to 3.0"
@@ -49,7 +48,7 @@ USD has the limits of torque and velocity that are not here.
     classes, late_dc = ("IdealPDActuatorCfg", "DelayedPDActuatorCfg", "DCMotorCfg"), False
     keywords = {
         "joint_names_expr": "joint",
-        **MOTOR,
+        **{name: name for name in MOTOR},
         "min_delay": "delay",
         "max_delay": "delay",
         "armature": "armature",
@@ -70,10 +69,7 @@ USD has the limits of torque and velocity that are not here.
 
     def choose_keywords(self, options: Mapping[str, str]) -> Mapping[str, str]:
         """See `ConfigFile.choose_keywords`."""
-        physics = options.get("physics", PHYSICS[0])
-        if physics not in PHYSICS:
-            raise ConfigError(f"physics={physics}: no such physics; {closest(physics, PHYSICS)}")
-        if physics == PHYSICS[0]:
+        if read_choice(options, "physics", PHYSICS) == "physx":
             return self.keywords
         dry = {"friction": "frictionloss", "dynamic_friction": ""}
         return {keyword: name for keyword, name in {**self.keywords, **dry}.items() if name}

@@ -11,8 +11,7 @@ import numpy as np
 
 from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Deviation, Export, Target, list_values, measure, register_target
+from frictionzoo.export.base import Deviation, Export, Target, list_values, measure, read_choice, register_target
 from frictionzoo.export.bench import list_lacks, say_limits, write_bench
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.export.robot import ACTUATORS, Equipped, put_into, say_whole
@@ -52,7 +51,7 @@ class ModelFile:
     def describe(self, fitted: FittedDrive) -> WrittenModel:
         """Return its entry in `result.json`."""
         difference, error = self.difference, fitted.result.metrics.test.position_mae
-        unit: Any = UNITS[fitted.bench.joint_type]["position"]
+        unit: Any = fitted.units["position"]
         return WrittenModel(
             file=self.name,
             timestep=self.timestep,
@@ -87,7 +86,7 @@ class Mjcf(Target):
                 raise ConfigError(f"{name}={options[name]} without into; give into=ROBOT.xml too")
         joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
         path = Path(options.get("into", fitted.bench.source)) if "into" in options or is_robot else None
-        robot = None if path is None else _Robot(path, tuple(joints), options.get("actuator", ACTUATORS[0]))
+        robot = None if path is None else _Robot(path, tuple(joints), read_choice(options, "actuator", ACTUATORS))
         asked = bool(options.keys() & {"into", "joint", "actuator"})
         files, torque = _write_models(fitted, robot, asked)
         if "into" in options and path is not None:
@@ -177,15 +176,22 @@ def _list_remarks(
     fitted: FittedDrive, nearest: Nearest, difference: Deviation | None, limits: tuple[str, ...]
 ) -> list[str]:
     """List the sentences of a file's comment, except the one on the friction model."""
-    return [
-        f"Its parameters are valid for steps of {fitted.timestep:g} s with the integrator {fitted.integrator}.",
-        *([_say_difference(fitted, difference)] if difference else []),
-        *(limit for limit in limits if limit != nearest.remark),
-    ]
+    remarks = [f"Its parameters are valid for steps of {fitted.timestep:g} s with the integrator {fitted.integrator}."]
+    if difference:
+        prefix = f"Simulated unchanged in MuJoCo with held-out commands ({difference.over}):"
+        unit, error = difference.unit, fitted.result.metrics.test.position_mae
+        share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
+        remarks.append(
+            f"{prefix} the identified drive is represented exactly, positions within {EXACT:g} {unit}."
+            if difference.largest <= EXACT
+            else f"{prefix} its positions differ from the identified drive's by {difference.mean:.3g} {unit} on "
+            f"average{share} and {difference.largest:.3g} {unit} at most{difference.reason and f': {difference.reason}'}."
+        )
+    return remarks + [limit for limit in limits if limit != nearest.remark]
 
 
 def _say_robot(robot: Equipped, fitted: FittedDrive, nearest: Nearest, actuators: str) -> list[str]:
-    units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
+    units, armature = fitted.units, ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
     limits, timestep = [], robot.model.opt.timestep
     if robot.urdf:
         limits.append(f"URDF has no armature: set {armature} {units['inertia']} where the robot is loaded.")
@@ -235,17 +241,3 @@ def _is_clipped(model: mujoco.MjModel, fitted: FittedDrive, place: Indices) -> b
     command = actuator.combine(fitted.values["bench"], signals.ctrl, signals.inputs)
     low, high = model.actuator_ctrlrange[place.actuator].T
     return bool((model.actuator_ctrllimited[place.actuator] & ((command < low) | (command > high))).any())
-
-
-def _say_difference(fitted: FittedDrive, difference: Deviation) -> str:
-    """Describe the difference of a file from the drive, for the file's comment."""
-    prefix = f"Simulated unchanged in MuJoCo with held-out commands ({difference.over}):"
-    if difference.largest <= EXACT:
-        return f"{prefix} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
-    error = fitted.result.metrics.test.position_mae
-    share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
-    reason = f": {difference.reason}" if difference.reason else ""
-    return (
-        f"{prefix} its positions differ from the identified drive's by {difference.mean:.3g} {difference.unit} on "
-        f"average{share} and {difference.largest:.3g} {difference.unit} at most{reason}."
-    )

@@ -2,19 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import indent
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.read_bam import DUTY, LAWS
-from frictionzoo.core.errors import ConfigError, ExportError, closest
+from frictionzoo.core.errors import ExportError
 from frictionzoo.core.templates import Code, write_literal
 from frictionzoo.export.bam import KT, compare_files, holds_exactly, to_bam, write_parameters
-from frictionzoo.export.base import Export, match_joint, measure, register_target
-from frictionzoo.export.configclass import MOTOR, ConfigFile
+from frictionzoo.export.base import Export, match_joint, measure, read_choice, register_target
+from frictionzoo.export.configclass import ConfigFile, write_call
 from frictionzoo.export.motor import (
     INPUTS,
+    MOTOR,
     Joint,
     Motor,
     lag,
@@ -23,6 +25,7 @@ from frictionzoo.export.motor import (
     read_inputs,
     run_joints,
     say_common,
+    say_inputs,
     say_not_run,
 )
 from frictionzoo.export.mujoco_c import LAWS as BRISTLES
@@ -88,7 +91,7 @@ EntityArticulationInfoCfg(actuators=ACTUATORS); set joint names to those of your
     classes = ("BuiltinPositionActuatorCfg", "BuiltinPositionActuatorCfg", "DcMotorActuatorCfg")
     keywords = {
         "target_names_expr": "joint",
-        **MOTOR,
+        **{name: name for name in MOTOR},
         "armature": "armature",
         "frictionloss": "frictionloss",
         "viscous_damping": "viscous_damping",
@@ -98,11 +101,8 @@ EntityArticulationInfoCfg(actuators=ACTUATORS); set joint names to those of your
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        requested = options.get("friction")
-        if requested is not None and requested not in FRICTIONS:
-            raise ConfigError(f"friction={requested}: no such friction; {closest(requested, FRICTIONS)}")
         exact = "bam" if holds_exactly(fitted) else "lugre" if fitted.model.name in BRISTLES else "mujoco"
-        chosen = requested or exact
+        chosen = read_choice({"friction": exact, **options}, "friction", FRICTIONS)
         if chosen == "mujoco":
             return super().write(fitted, folder, options)
         if chosen != exact:
@@ -128,15 +128,14 @@ def _write_bam(fitted: FittedDrive, folder: Path, options: Mapping[str, str]) ->
     parameters = write_parameters(fitted, folder, laws, _SERVO)
     inputs = {"gain": gain, "supply": supply, "enable": np.ones(fitted.bench.nv)}
     body = "".join(_configure(fitted, joint, file, inputs) for joint, file in enumerate(parameters))
-    (folder / Mjlab.file).write_text(f"{_BAM_HEAD}ACTUATORS = (\n{body})\n", encoding="utf-8")
-    nearest = Nearest(dict(bench), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
+    (folder / Mjlab.file).write_text(f"{_BAM_HEAD}ACTUATORS = (\n{indent(body, '    ')})\n", encoding="utf-8")
+    nearest = Nearest.frictionless(fitted)
     reason = ", ".join([*lacks, *list_lacks(fitted, nearest)])
     torque, qpos = compare_files(fitted, [folder / file for file in parameters], reason, inputs)
-    listed = ", ".join(f"{name} {given[name]:g}" for name in INPUTS)
     limits = (
         say_not_run(Mjlab.program),
         *say_common(fitted, nearest, {}),
-        f"The servo's inputs are fixed: {listed}, always enabled; vin_range= draws the supply.",
+        f"The servo's inputs are fixed: {say_inputs(given)}, always enabled; vin_range= draws the supply.",
         "BAM limits the torque to the stall torque, also when braking adds back-EMF.",
         "BAM 1.0.2 requires mjlab 1.3 and Python 3.12; with mjlab 1.6, install it with --no-deps.",
         KT,
@@ -155,8 +154,8 @@ def _write_lugre(fitted: FittedDrive, folder: Path, options: Mapping[str, str]) 
     ]
     names = map(match_joint, fitted.bench.joints)
     body = "".join(map(_configure_motor, names, joints, bristles))
-    (folder / Mjlab.file).write_text(f"{_LUGRE_HEAD}ACTUATORS = (\n{body})\n", encoding="utf-8")
-    nearest = Nearest(dict(bench), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
+    (folder / Mjlab.file).write_text(f"{_LUGRE_HEAD}ACTUATORS = (\n{indent(body, '    ')})\n", encoding="utf-8")
+    nearest = Nearest.frictionless(fitted)
     qpos = run_joints(fitted, nearest, joints, write_native)
     reason = ", ".join([*list_lacks(fitted, nearest), "bristles begin without load, and act from a step's beginning"])
     limits = (
@@ -187,28 +186,20 @@ def _configure_motor(pattern: str, joint: Joint, bristles: Sequence[float]) -> s
         "viscous_damping": joint.damping,
         **({"delay_min_lag": joint.lag, "delay_max_lag": joint.lag} if joint.lag else {}),
     }
-    return _write_call("BuiltinDcMotorActuatorCfg", values)
+    return write_call("BuiltinDcMotorActuatorCfg", {keyword: (value, "") for keyword, value in values.items()})
 
 
 def _configure(fitted: FittedDrive, joint: int, file: str, inputs: Mapping[str, Float[np.ndarray, "nv"]]) -> str:
     steps = lag(fitted, joint)
-    values: dict[str, Any] = {
-        "json_path": Code(f"str(HERE / {write_literal(file)})"),
-        "target_names_expr": (match_joint(fitted.bench.joints[joint]),),
-        "vin": float(inputs["supply"][joint]),
-        "kp_fw": float(inputs["gain"][joint]),
-        "stiff_frictionloss": False,
-        **({"delay_min_lag": steps, "delay_max_lag": steps} if steps else {}),
+    values: dict[str, tuple[Any, str]] = {
+        "json_path": (Code(f"str(HERE / {write_literal(file)})"), ""),
+        "target_names_expr": ((match_joint(fitted.bench.joints[joint]),), ""),
+        "vin": (float(inputs["supply"][joint]), "V"),
+        "kp_fw": (float(inputs["gain"][joint]), ""),
+        "stiff_frictionloss": (False, "the robot's solreffriction"),
+        **({"delay_min_lag": (steps, ""), "delay_max_lag": (steps, "steps")} if steps else {}),
     }
-    comments = {"vin": "V", "stiff_frictionloss": "the robot's solreffriction", "delay_max_lag": "steps"}
-    return _write_call("BamActuatorCfg", values, comments)
-
-
-def _write_call(name: str, values: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
-    """Write a call with these arguments, one a line, as an item of a tuple."""
-    ends = {key: f"  # {comment}" for key, comment in (comments or {}).items()}
-    lines = [f"        {key}={write_literal(value)},{ends.get(key, '')}\n" for key, value in values.items()]
-    return "".join([f"    {name}(\n", *lines, "    ),\n"])
+    return write_call("BamActuatorCfg", values)
 
 
 def _say_solref(fitted: FittedDrive) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.templates import Code, open_template
-from frictionzoo.core.units import UNITS
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import SourceText, read_source, write_values
 from frictionzoo.models import TorchFriction
@@ -53,7 +52,7 @@ def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **
     shared.take(actuator)
     text = render(
         template,
-        units={dimension: Code(unit) for dimension, unit in UNITS[bench.joint_type].items()},
+        units={dimension: Code(unit) for dimension, unit in fitted.units.items()},
         imports=[Code(text) for text in shared.imports.values() if text != "import numpy as np"],
         functions=[Code(text) for text in shared.functions.values()],
         law_class=law.as_class("Law", "Friction model, MODEL in frictionzoo."),

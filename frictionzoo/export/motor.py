@@ -16,8 +16,7 @@ from frictionzoo.bench.actuators.recorded_pd import RecordedPD
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.state import Signals
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import list_values, read_number
+from frictionzoo.export.base import list_values, read_optional
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import simulate
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -26,6 +25,16 @@ INPUTS: Mapping[str, str] = {
     "gain": "of a servo's firmware; default: the recordings' median",
     "supply": "of a servo [V]; default: the recordings' median",
 }
+MOTOR: Mapping[str, str] = {
+    "stiffness": "stiffness",
+    "damping": "damping",
+    "saturation_effort": "torque",
+    "velocity_limit": "velocity",
+    "effort_limit": "torque",
+}
+"""Dimension of each attribute of a `Motor`."""
+LIMITS = tuple(MOTOR)[2:]
+"""Attributes that limit its torque."""
 _SAID: Mapping[str, str] = {
     "torque_low": "The torque limits are not symmetrical; the file has the upper one.",
     "torque_saturation": "It has no smooth saturation: the saturation torque is a hard limit in the file.",
@@ -90,7 +99,7 @@ def read_inputs(fitted: FittedDrive, options: Mapping[str, str]) -> dict[str, fl
     """Return inputs of the actuator model, such as gain and supply: given values, or medians over the test rollouts."""
     names = fitted.bench.actuator.inputs
     medians = {name: float(np.median(signal)) for name, signal in fitted.segments.acting.inputs.items()}
-    requested = {name: read_number(options, name) for name in INPUTS}
+    requested = {name: read_optional(options, name) for name in INPUTS}
     return medians | {name: value for name, value in requested.items() if value is not None and name in names}
 
 
@@ -171,7 +180,7 @@ def run_joints(
         model.actuator_ctrllimited[own] = model.actuator_forcelimited[own] = 0  # the motor's limits are in it
     aims_of = aim(fitted, [joint.motor for joint in joints])
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+    def step(data: mujoco.MjData, signals: Signals) -> None:
         for index, (joint, aimed) in enumerate(zip(joints, aims_of(signals), strict=True)):
             data.ctrl[index] = joint.motor.torque(float(aimed), float(data.qpos[index]), float(data.qvel[index]))
         mujoco.mj_step(model, data)
@@ -207,6 +216,11 @@ def list_lacks(fitted: FittedDrive, nearest: Nearest, held: Collection[str] = ()
     return reasons + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
 
 
+def say_inputs(inputs: Mapping[str, float]) -> str:
+    """List gain and supply of a servo with their values; empty for another drive."""
+    return ", ".join(f"{name} {inputs[name]:g}" for name in INPUTS if name in inputs)
+
+
 def say_not_run(program: str) -> str:
     """Say that the file's own program did not run."""
     return (
@@ -230,14 +244,13 @@ def say_common(
     if commands and (values["torque_gain"] != 1).any():
         listed = list_values(values["torque_gain"])
         limits.append(f"Gains and limits in the file are the controller's times torque_gain, {listed}.")
-    if inputs.keys() & INPUTS.keys():
-        listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
+    if listed := say_inputs(inputs):
         limits.append(f"The servo's inputs are fixed: {listed}, always enabled; the stiffness belongs to this gain.")
         if not held:
             limits[-1] += (
                 " Braking adds back-EMF to the stall torque: effort_limit is therefore above saturation_effort."
             )
     delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values.get("delay", ())))
-    words = {**UNITS[fitted.bench.joint_type], "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}
+    words = {**fitted.units, "timestep": f"{fitted.timestep:g}", "delays": ", ".join(delays)}
     said = {name: sentence for name, sentence in _SAID.items() if name in values and name not in held}
     return limits + [sentence.format(list_values(values[name]), **words) for name, sentence in said.items()]

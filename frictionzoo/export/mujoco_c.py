@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.template import in_full
-from frictionzoo.core.errors import ConfigError, ExportError
+from frictionzoo.core.errors import ExportError
 from frictionzoo.core.state import Signals
 from frictionzoo.core.templates import Code
 from frictionzoo.core.xml import write_xml
-from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.base import Export, Target, measure, read_choice, register_target
 from frictionzoo.export.bench import say_limits
 from frictionzoo.export.module import BENCH, MODULE, controls, load_module, write_drive
 from frictionzoo.export.nearest import Nearest
@@ -25,6 +25,7 @@ from frictionzoo.result.fitted_drive import FittedDrive
 FORMS = ("module", "native")
 LAWS = ("lugre", "dahl")  # friction models of MuJoCo's dcmotor
 REASON = "MuJoCo uses the bristle torque at a step's beginning, the drive at its end"
+_LUGRE = ("stiffness", "micro_damping", "kinetic_torque", "static_torque", "stribeck_velocity")
 _NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, no command
 
 
@@ -39,10 +40,7 @@ class MujocoC(Target):
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        law = options.get("law", FORMS[0])
-        if law not in FORMS:
-            raise ConfigError(f"law={law}; expected {' or '.join(FORMS)}")
-        if law == "native":
+        if read_choice(options, "law", FORMS) == "native":
             return _write_native(fitted, folder)
         command = Code("drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ...")
         written = write_drive(fitted, folder, "mujoco_drive.py.jinja", example_install=command)
@@ -55,7 +53,7 @@ def _write_native(fitted: FittedDrive, folder: Path) -> Export:
     text = write_native(fitted)
     (folder / BENCH).write_text(text)
     difference = measure("qpos", fitted, run_native(text, fitted), fitted.rollout()[0], reason=REASON)
-    exact = Nearest(dict(fitted.values["bench"]), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
+    exact = Nearest.frictionless(fitted)
     limits = (
         f"{REASON}: the equations are the same, and the motions agree for short steps; stiff bristles need shorter "
         "steps than the drive.",
@@ -85,9 +83,8 @@ def write_native(fitted: FittedDrive) -> str:
     assert section is not None
     taken = set(bench.joints)
     for name, bristles in zip(bench.joints, list_bristles(fitted), strict=True):
-        numbers = " ".join(map(in_full, bristles))
         actuator = find_free_name(f"{name}_friction", taken)
-        ET.SubElement(section, "dcmotor", {"name": actuator, "joint": name, **_NO_WINDING, "lugre": numbers})
+        ET.SubElement(section, "dcmotor", {"name": actuator, "joint": name, **_NO_WINDING, "lugre": in_full(bristles)})
     return write_xml(root)
 
 
@@ -96,15 +93,13 @@ def list_bristles(fitted: FittedDrive) -> list[list[float]]:
 
     Bristle stiffness and damping, kinetic and static torque (equal for `dahl`), and Stribeck velocity.
     """
-    model, values, nv = fitted.model, fitted.values["friction"], fitted.bench.nv
-    by_joint = {name: values[name][param.members(nv)] for name, param in model.params.items()}
-    return [_lugre(by_joint, joint) for joint in range(nv)]
-
-
-def _lugre(values: Mapping[str, Float[np.ndarray, "nv"]], joint: int) -> list[float]:
-    torques = [name if name in values else "coulomb_torque" for name in ("kinetic_torque", "static_torque")]
-    numbers = [values[name][joint] if name in values else 0.0 for name in ("stiffness", "micro_damping", *torques)]
-    return [*map(float, numbers), float(values["stribeck_velocity"][joint]) if "stribeck_velocity" in values else 1.0]
+    values, nv = fitted.values["friction"], fitted.bench.nv
+    by_joint = {name: values[name][param.members(nv)] for name, param in fitted.model.params.items()}
+    if fitted.model.name == "dahl":
+        torque = by_joint["coulomb_torque"]
+        by_joint |= {"micro_damping": np.zeros(nv), "kinetic_torque": torque, "static_torque": torque}
+        by_joint["stribeck_velocity"] = np.ones(nv)
+    return np.stack([by_joint[name] for name in _LUGRE], axis=1).tolist()
 
 
 def run_native(text: str, fitted: FittedDrive) -> Float[np.ndarray, "batch time nv"]:
@@ -124,11 +119,11 @@ def _run(folder: Path, fitted: FittedDrive) -> np.ndarray:
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
     drive = module.Drive(model)
 
-    def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
+    def prepare(data: mujoco.MjData, rollout: int) -> None:
         before = commands_before(fitted, rollout)
         drive.start_late(before.ctrl, before.inputs)
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+    def step(data: mujoco.MjData, signals: Signals) -> None:
         drive.step(data, signals.ctrl, signals.inputs | signals.observed)
 
     return simulate(model, fitted, step, prepare, late=False)

@@ -14,7 +14,6 @@ from scipy.optimize import nnls
 from frictionzoo.core.errors import ExportError, RunError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.core.units import UNITS
 from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.blocks import divide, into_blocks
 from frictionzoo.fit.chunk import search
@@ -54,6 +53,11 @@ class Nearest:
     remark: str = ""
     lacks: str = ""
 
+    @classmethod
+    def frictionless(cls, fitted: FittedDrive) -> "Nearest":
+        """Return the drive without friction, which its file adds in another way."""
+        return cls(dict(fitted.values["bench"]), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
+
 
 def find_nearest(fitted: FittedDrive) -> Nearest:
     """Return the drive with MuJoCo's friction, refitted in joints with another friction model.
@@ -69,18 +73,20 @@ def find_nearest(fitted: FittedDrive) -> Nearest:
         return _take_exact(model, bench, loss[0], viscous[0])
     torque = sliding_torque(np, terms, velocity)
     dry, damping = nearest_frictionloss_and_damping(torque, velocity)
-    start = np.where(exact, loss[0], dry), np.where(exact, viscous[0], damping)
+    start = Nearest(bench, np.where(exact, loss[0], dry), np.where(exact, viscous[0], damping))
     try:
         rollouts = fitted.follow(fitted.segments)
     except RunError:
-        residual = torque - sliding_torque(np, FrictionTerms(frictionloss=start[0], damping=start[1]), velocity)
-        rms, unit = _list(np.sqrt(np.square(residual).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
+        constant = FrictionTerms(frictionloss=start.frictionloss, damping=start.damping)
+        residual = torque - sliding_torque(np, constant, velocity)
+        rms, unit = _list(np.sqrt(np.square(residual).mean(axis=0))), fitted.units["torque"]
         what = (
             f", and the fitted drive diverges in its own {fitted.over}, so they could not be refitted to these: "
             f"they fit the model's torque at the measured states, with a difference of {rms} {unit} RMS"
         )
-        return Nearest(*(bench, *start), *_describe(fitted, exact, what))
-    return _refit(fitted, rollouts, *start, exact)
+        remark, lacks = _describe(fitted, exact, what)
+        return replace(start, remark=remark, lacks=lacks)
+    return _refit(fitted, rollouts, start, exact)
 
 
 def find_nearest_each(fitted: FittedDrive, draws: Sequence[Values]) -> list[Nearest]:
@@ -123,7 +129,7 @@ def _refit_each(
     _refuse_long(fitted, len(draws), exact)
     centre, drives = find_nearest(fitted), list[Nearest]()
     with jax.enable_x64(True):
-        nominal, rollout = _pose(fitted, _follow(fitted), centre.frictionloss, centre.damping, exact)
+        nominal, rollout = _pose(fitted, _follow(fitted), centre, exact)
         template = nominal.starting(_descend(nominal)[0])
         for initial, values in zip(start, draws, strict=True):
             rollouts = _follow(fitted, _mix(fitted, values, exact))
@@ -183,34 +189,23 @@ def _descend(objective: Objective) -> tuple[Float[np.ndarray, "coordinates"], fl
     return vector, float(np.sqrt(loss))
 
 
-def _refit(
-    fitted: FittedDrive,
-    followed: Segments,
-    loss: Float[np.ndarray, "nv"],
-    damping: Float[np.ndarray, "nv"],
-    exact: Bool[np.ndarray, "nv"],
-) -> Nearest:
+def _refit(fitted: FittedDrive, followed: Segments, start: Nearest, exact: Bool[np.ndarray, "nv"]) -> Nearest:
     with jax.enable_x64(True):
-        objective, _ = _pose(fitted, followed, loss, damping, exact)
+        objective, _ = _pose(fitted, followed, start, exact)
         progress, _ = search(LevenbergMarquardt(_ITERATIONS, 1e-8), objective)
-        values = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
-    bench, friction = dict(values["bench"]), values["friction"]
+        armature, loss, damping = _read(objective, np.asarray(progress.best))
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
-    identified, units = fitted.values["bench"]["armature"], UNITS[fitted.bench.joint_type]
+    identified, units = fitted.values["bench"]["armature"], fitted.units
     details = (
         f" ({before:.3g} {units['position']} for the nearest friction torque); armature "
-        f"{_list(bench['armature'][~exact])} instead of {_list(identified[~exact])} {units['inertia']}"
+        f"{_list(armature[~exact])} instead of {_list(identified[~exact])} {units['inertia']}"
     )
     texts = _describe(fitted, exact, _say_refit(fitted, "fitted", after) + details)
-    return Nearest(bench, friction["frictionloss"], friction["damping"], *texts)
+    return Nearest({**start.bench, "armature": armature}, loss, damping, *texts)
 
 
 def _pose(
-    fitted: FittedDrive,
-    followed: Segments,
-    loss: Float[np.ndarray, "nv"],
-    damping: Float[np.ndarray, "nv"],
-    exact: Bool[np.ndarray, "nv"],
+    fitted: FittedDrive, followed: Segments, start: Nearest, exact: Bool[np.ndarray, "nv"]
 ) -> tuple[Objective, Rollout]:
     """Pose the fit of MuJoCo's friction to rollouts by the mean square position difference; exact joints are fixed."""
     bench, free = fitted.bench.restarted(fitted.values["bench"]), (~exact).tolist()
@@ -222,10 +217,10 @@ def _pose(
         for name, size in sizes.items()
     }
     model = MujocoDefault(bench.nv, params)
-    for name, value in (("frictionloss", loss), ("damping", damping)):
-        start = np.where(exact, value, np.clip(value, 2 * _SMALLEST * sizes[name], _LARGEST * sizes[name]))
-        model.get_parameter(name).data.copy_(torch.from_numpy(start))
-    constrained = (~exact | (loss > 0)).tolist()
+    for name, value in (("frictionloss", start.frictionloss), ("damping", start.damping)):
+        initial = np.where(exact, value, np.clip(value, 2 * _SMALLEST * sizes[name], _LARGEST * sizes[name]))
+        model.get_parameter(name).data.copy_(torch.from_numpy(initial))
+    constrained = (~exact | (start.frictionloss > 0)).tolist()
     rollout = make_rollout(make_engine("auto", bench, friction_of(model), constrained), fitted.sampling)
     return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False), rollout
 
@@ -233,7 +228,7 @@ def _pose(
 def _say_refit(fitted: FittedDrive, whose: str, rms: float) -> str:
     return (
         f": they were refitted, with the armature, to the {whose} drive's own {fitted.over}; remaining position "
-        f"difference {rms:.3g} {UNITS[fitted.bench.joint_type]['position']} RMS"
+        f"difference {rms:.3g} {fitted.units['position']} RMS"
     )
 
 

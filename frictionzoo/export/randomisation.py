@@ -10,15 +10,22 @@ import mujoco
 import numpy as np
 
 from frictionzoo.bench import Robot
-from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
+from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.templates import Code
-from frictionzoo.core.units import UNITS
 from frictionzoo.export import isaaclab, mjlab
-from frictionzoo.export.base import Deviation, Export, Target, match_joint, measure, read_number, register_target
+from frictionzoo.export.base import (
+    Deviation,
+    Export,
+    Target,
+    match_joint,
+    measure,
+    read_choice,
+    read_optional,
+    register_target,
+)
 from frictionzoo.export.bench import say_limits, write_bench
-from frictionzoo.export.configclass import LIMITS
 from frictionzoo.export.module import render
-from frictionzoo.export.motor import INPUTS, read_inputs
+from frictionzoo.export.motor import INPUTS, LIMITS, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, find_nearest_each
 from frictionzoo.export.robot import ACTUATORS, put_into
 from frictionzoo.export.simulate import run_loaded
@@ -60,9 +67,7 @@ class Randomisation(Target):
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        operation = options.get("operation", OPERATIONS[0])
-        if operation not in OPERATIONS:
-            raise ConfigError(f"operation={operation}: no such operation; {closest(operation, OPERATIONS)}")
+        operation = read_choice(options, "operation", OPERATIONS)
         count = _read_count(options, "count", _COUNT, 2, _MOST)
         number = _read_count(options, "files", min(_FILES, count), 1, count)
         ranges = read_ranges(options["ranges"], fitted) if "ranges" in options else {}
@@ -87,7 +92,7 @@ class Randomisation(Target):
 
 
 def _read_count(options: Mapping[str, str], name: str, default: int, low: int, high: int) -> int:
-    number = read_number(options, name)
+    number = read_optional(options, name)
     number = default if number is None else number
     if number != int(number) or not low <= number <= high:
         raise ConfigError(f"{name}={options[name]}; expected a whole number from {low} to {high}; change it")
@@ -159,7 +164,7 @@ def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Deviation, ...], str]:
         measure("qpos", fitted, positions[0], expected[0], reason=drives[0][1].lacks),
         measure("qpos", fitted, drawn, drawn_expected, over, drives[0][1].lacks),
     )
-    unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result.metrics.test.position_mae
+    unit, error = fitted.units["position"], fitted.result.metrics.test.position_mae
     test_error = "" if error is None else f"; the fitted drive's mean test error is {error:.2g} {unit}"
     return differences, (
         f"Positions of the {len(drawn)} drives in {FOLDER}/ are {drawn.std(axis=0).mean():.2g} {unit} apart (standard "

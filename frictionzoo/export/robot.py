@@ -18,12 +18,12 @@ from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.export.in_place import InPlace, Tag
 from frictionzoo.export.nearest import Nearest, say_law
+from frictionzoo.export.simulate import LATE
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.simulator import RK4
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # override the robot's defaults
-_LATE = ("delay", "nsample", "interp", "dyntype", "dynprm", "actearly")
 _NAMED = 3  # largest number of joints that are listed by name
 _SAME = 1e-12  # relative tolerance of a value read back
 _UNLIMITED = np.array([np.nan, np.nan])
@@ -87,13 +87,11 @@ def put_into(
     time step and the integrator. Meshes may be missing. The result is read back and checked; it has no comment yet.
 
     Raises:
-        ConfigError: The file or a joint does not exist, or an option is invalid.
+        ConfigError: The file or a joint does not exist.
         BenchError: MuJoCo cannot load the robot.
         ExportError: A joint has another type, the drive has other inertias or gravity than the file, or the file cannot
             hold the drive.
     """
-    if actuators not in ACTUATORS:
-        raise ConfigError(f"actuator={actuators}: expected {' or '.join(ACTUATORS)}")
     _refuse_other_bench(path, fitted)
     file, urdf = _read(path)
     tags = {name: tag for tag in file.tags if _is_joint(tag) and (name := tag.attributes.get("name"))}
@@ -119,11 +117,11 @@ def put_into(
         )
         file.set(tags[name], {attribute: template_joint.get(attribute, "0") for attribute in _JOINT})
         if actuators == "identified":
-            law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *_LATE)}
-            law["biasprm"] = " ".join(in_full(bias[column]) for bias in meant(fitted, nearest)[1:])
+            law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *LATE)}
+            law["biasprm"] = in_full([bias[column] for bias in meant(fitted, nearest)[1:]])
             if "delay" in nearest.bench and not fitted.bench.actuator.needs_state:
                 law |= write_delay(float(write_late(fitted, nearest, timestep)["delay"][column]), timestep)
-            notes += _write_actuator(file, path, name, law, before)
+            notes += _write_actuator(file, name, law, before)
     changed = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
     remark = nearest.remark or say_law(fitted.model)
     comment = f"frictionzoo: {'dynamics' if urdf else changed} of {say_joints(joints)} identified. {remark}"
@@ -265,7 +263,7 @@ def _list_unknown(after: Source, joints: Sequence[str]) -> tuple[str, ...]:
     return tuple(after.name("body", body) for body in np.flatnonzero(moved & ~after.compiled).tolist())
 
 
-def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], before: Source) -> list[str]:
+def _write_actuator(file: InPlace, joint: str, law: dict[str, str], before: Source) -> list[str]:
     """Write a joint's actuator with these attributes into an MJCF, within the limits of the robot's actuator."""
     sections = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "actuator"]
     elements = [tag for tag in file.tags if any(tag.owner is section for section in sections)]
@@ -340,7 +338,7 @@ def _as_attributes(ctrl: Float[np.ndarray, "2"], force: Float[np.ndarray, "2"], 
         limited = bool(np.isfinite(ends).all())
         attributes[f"{name}limited"] = str(limited).lower()
         if limited:
-            attributes[f"{name}range"] = " ".join(map(in_full, ends))
+            attributes[f"{name}range"] = in_full(ends)
     return attributes
 
 

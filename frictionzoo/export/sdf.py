@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from frictionzoo.bench.template import in_full
-from frictionzoo.core.errors import ConfigError, ExportError
+from frictionzoo.core.errors import ExportError
 from frictionzoo.core.xml import write_comment, write_xml
-from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.base import Export, Target, measure, read_choice, register_target
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import (
     DRAKE,
@@ -20,7 +20,6 @@ from frictionzoo.export.skeleton import (
     JointedLink,
     build,
     find_free_name,
-    list_numbers,
     read_links,
     run_links,
     say_lacks,
@@ -45,10 +44,7 @@ class Sdf(Target):
 
     def write(self, fitted: FittedDrive, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        place = options.get("armature", _PLACES[0])
-        if place not in _PLACES:
-            raise ConfigError(f"armature={place}: expected {' or '.join(_PLACES)}")
-        nearest, in_links = find_nearest(fitted), place == "links"
+        nearest, in_links = find_nearest(fitted), read_choice(options, "armature", _PLACES) == "links"
         text = write_sdf(fitted, nearest, in_links)
         (folder / FILE).write_text(text, encoding="utf-8")
         spec, inertia = read_sdf(text)
@@ -126,9 +122,9 @@ def _write_link(link: JointedLink, names: Mapping[str, str]) -> ET.Element:
     place = {} if link.parent == WORLD else {"relative_to": names[link.parent]}
     entries = {entry: link.inertia["xyz".index(entry[1]), "xyz".index(entry[2])] for entry in _ENTRIES}
     return build(
-        *("link", {"name": names[link.name]}, build("pose", place, list_numbers([*link.pos, *link.rpy]))),
+        *("link", {"name": names[link.name]}, build("pose", place, in_full([*link.pos, *link.rpy]))),
         build(
-            *("inertial", build("pose", list_numbers([*link.com, 0.0, 0.0, 0.0])), build("mass", in_full(link.mass))),
+            *("inertial", build("pose", in_full([*link.com, 0.0, 0.0, 0.0])), build("mass", in_full(link.mass))),
             build("inertia", *(build(entry, in_full(value)) for entry, value in entries.items())),
         ),
     )
@@ -138,7 +134,7 @@ def _write_joint(link: JointedLink, names: Mapping[str, str], armature: float | 
     parts = [build("parent", names[link.parent]), build("child", names[link.name])]
     if link.kind != "fixed":
         dynamics = build("damping", in_full(link.damping)), build("friction", in_full(link.friction))
-        parts.append(build("axis", build("xyz", list_numbers(link.axis)), build("dynamics", *dynamics)))
+        parts.append(build("axis", build("xyz", in_full(link.axis)), build("dynamics", *dynamics)))
     if armature is not None:
         parts += [build("drake:rotor_inertia", in_full(armature)), build("drake:gear_ratio", "1")]
     return build("joint", {"name": link.joint, "type": _KINDS[link.kind]}, *parts)  # limits are optional in SDFormat

@@ -16,11 +16,12 @@ PAYLOADS = "Payloads of recordings are left out; for the difference above they w
 _WHOLE = 0.01  # relative deviation of a sample from whole steps that is rounded away, as for recordings
 _ROUNDING = 1e-6  # rounding tolerance, as a share of a step
 _ACTUATOR = ("gainprm", "biastype", "biasprm", "forcelimited", "forcerange")
-_LATE = ("delay", "nsample", "interp", "dyntype", "dynprm", "actearly")
+LATE = ("delay", "nsample", "interp", "dyntype", "dynprm", "actearly")
+"""Attributes of a delayed actuator."""
 _DIVERGED = [mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC]
 
-Step = Callable[[mujoco.MjModel, mujoco.MjData, Signals], None]
-"""Advances a model by one time step under one sample of the commands and of further inputs of actuator and friction."""
+Step = Callable[[mujoco.MjData, Signals], None]
+"""Advances a simulation by one step under one sample of the commands and of further inputs of actuator and friction."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def simulate(
     model: mujoco.MjModel,
     fitted: FittedDrive,
     step: Step,
-    prepare: Callable[[mujoco.MjModel, mujoco.MjData, int], None] = lambda *_: None,
+    prepare: Callable[[mujoco.MjData, int], None] = lambda *_: None,
     late: bool = True,
     place: Indices | None = None,
 ) -> Float[np.ndarray, "batch time nv"]:
@@ -72,12 +73,12 @@ def simulate(
         data = mujoco.MjData(model)
         data.qpos[place.qpos] = segments.qpos[rollout, 0] + place.offset
         data.qvel[place.dof] = segments.qvel[rollout, 0]
-        prepare(model, data, rollout)
+        prepare(data, rollout)
         states = np.empty((signals.ctrl.shape[1] + 1, 2, fitted.bench.nv))
         states[0] = data.qpos[place.qpos], data.qvel[place.dof]
         with _without_log():
             for number in range(signals.ctrl.shape[1]):
-                step(model, data, signals.map(itemgetter((rollout, number))))
+                step(data, signals.map(itemgetter((rollout, number))))
                 states[number + 1] = data.qpos[place.qpos], data.qvel[place.dof]
         qpos[rollout] = _at_samples(states, fitted, timestep) - place.offset
         if any(data.warning[kind].number for kind in _DIVERGED):
@@ -140,18 +141,6 @@ def _at_samples(
     return (1 - blend) * start[:, 0] + blend * end[:, 0] + timestep * bend
 
 
-def step_with_control(fitted: FittedDrive) -> Step:
-    """Return a step in which the caller computes the controller of the actuator model."""
-    bench = fitted.bench
-
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
-        state = data.qpos, data.qvel
-        data.ctrl[:] = bench.actuator.control(np, fitted.values["bench"], *state, signals.ctrl, signals.inputs)
-        mujoco.mj_step(model, data)
-
-    return step
-
-
 def run_loaded(
     model: mujoco.MjModel,
     fitted: FittedDrive,
@@ -170,7 +159,7 @@ def run_loaded(
     place = Indices.of_bench(fitted) if place is None else place
     law, values = fitted.bench.actuator, fitted.values["bench"]
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+    def step(data: mujoco.MjData, signals: Signals) -> None:
         if law.needs_state:
             state = data.qpos[place.qpos] - place.offset, data.qvel[place.dof]
             data.ctrl[place.ctrl] = law.control(np, values, *state, signals.ctrl, signals.inputs)
@@ -178,7 +167,7 @@ def run_loaded(
             data.ctrl[place.ctrl] = law.combine(values, signals.ctrl, signals.inputs)
         mujoco.mj_step(model, data)
 
-    def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
+    def prepare(data: mujoco.MjData, rollout: int) -> None:
         begin(data, rollout)
         signals = fitted.segments.signals.map(itemgetter(rollout))
         command = np.asarray(law.combine(values, signals.ctrl, signals.inputs), np.float64)
@@ -213,7 +202,7 @@ def equip(
         joint = spec.joint(own.target)
         joint.armature, joint.solref_friction = armature[index], model.dof_solref[index]
         actuator = spec.add_actuator(name=own.name, target=own.target, trntype=own.trntype)
-        for name in (*_ACTUATOR, *(_LATE if late else ())):
+        for name in (*_ACTUATOR, *(LATE if late else ())):
             setattr(actuator, name, getattr(own, name))
         if bias0 is not None:
             actuator.biasprm[0] = bias0[index]

@@ -1,7 +1,7 @@
 """Links and joints of a bench for robot description formats, in which a link has the frame of its joint."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
-from frictionzoo.core.units import UNITS
 from frictionzoo.export.base import list_values
 from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.nearest import Nearest
@@ -138,14 +136,9 @@ def build(tag: str, *parts: "str | Mapping[str, str] | ET.Element[Any] | None") 
     return element
 
 
-def list_numbers(values: Iterable[float]) -> str:
-    """Format numbers at full precision, separated by spaces."""
-    return " ".join(map(in_full, values))
-
-
 def say_lacks(fitted: FittedDrive, nearest: Nearest, in_links: bool = False) -> tuple[str, ...]:
     """List the limits common to these formats; `in_links`: the armature is in the links."""
-    values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
+    values, units = fitted.values["bench"], fitted.units
     armature = f"{list_values(nearest.bench['armature'])} {units['inertia']}"
     limits = [
         *say_limits(fitted, nearest),

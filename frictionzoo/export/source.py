@@ -129,27 +129,24 @@ def _own_attributes(tree: ast.FunctionDef) -> set[str]:
     }
 
 
-def _add_globals(source: SourceText, function: FunctionType, tree: ast.FunctionDef) -> None:
+def _add_globals(source: SourceText, function: Any, tree: ast.FunctionDef) -> None:
     body = (node for statement in tree.body for node in ast.walk(statement))  # annotations are not evaluated
     for name in dict.fromkeys(node.id for node in body if isinstance(node, ast.Name)):
         if name not in function.__globals__ or name in source.functions or name in source.imports:
             continue
         value = function.__globals__[name]
         if isinstance(value, FunctionType):
-            _add_function(source, name, inspect.unwrap(value))
+            called = inspect.unwrap(value)
+            text, called_tree = _read(called)
+            if called.__name__ != name:
+                raise ExportError(f"{name}: another name of the function {called.__name__}, expected its own; use that")
+            source.functions[name] = ""  # placeholder, in case the function calls itself
+            _add_globals(source, called, called_tree)
+            source.functions[name] = text
         elif isinstance(value, ModuleType) and value in _MODULES:
             source.imports[name] = f"import {_MODULES[value]} as {name}"
         elif not any(value is provided for provided in _PROVIDED):
             source.functions[name] = f"{name} = {_write_attribute(function.__qualname__, name, value)}"
-
-
-def _add_function(source: SourceText, name: str, function: Any) -> None:
-    text, tree = _read(function)
-    if function.__name__ != name:
-        raise ExportError(f"{name}: another name of the function {function.__name__}, expected its own; use that")
-    source.functions[name] = ""  # placeholder, in case the function calls itself
-    _add_globals(source, function, tree)
-    source.functions[name] = text
 
 
 def _write_attribute(owner: Any, name: str, value: Any) -> str:

@@ -13,9 +13,9 @@ from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Export, Target, measure, register_target
-from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
+from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs, say_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
-from frictionzoo.export.skeleton import DRAKE, WORLD, JointedLink, build, list_numbers, read_links, run_links, say_lacks
+from frictionzoo.export.skeleton import DRAKE, WORLD, JointedLink, build, read_links, run_links, say_lacks
 from frictionzoo.result.fitted_drive import FittedDrive
 
 FILE = "bench.urdf"
@@ -63,18 +63,18 @@ def write_urdf(fitted: FittedDrive, nearest: Nearest, drives: list[Motor]) -> st
 def _write_link(link: JointedLink) -> tuple[ET.Element, ET.Element]:
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": in_full(link.inertia[i, j]) for i in range(3) for j in range(i, 3)}
     inertial = build(
-        *("inertial", build("origin", {"xyz": list_numbers(link.com), "rpy": "0 0 0"})),
+        *("inertial", build("origin", {"xyz": in_full(link.com), "rpy": "0 0 0"})),
         *(build("mass", {"value": in_full(link.mass)}), build("inertia", entries)),
     )
     slide = {"lower": f"-{_NONE}", "upper": _NONE, "effort": _NONE, "velocity": _NONE}
     moving = [
-        build("axis", {"xyz": list_numbers(link.axis)}),
+        build("axis", {"xyz": in_full(link.axis)}),
         build("limit", slide) if link.kind == "slide" else None,
         build("dynamics", {"damping": in_full(link.damping), "friction": in_full(link.friction)}),
     ]
     joint = build(
         *("joint", {"name": link.joint, "type": _KINDS[link.kind]}),
-        build("origin", {"xyz": list_numbers(link.pos), "rpy": list_numbers(link.rpy)}),
+        build("origin", {"xyz": in_full(link.pos), "rpy": in_full(link.rpy)}),
         *(build("parent", {"link": link.parent}), build("child", {"link": link.name})),
         *(() if link.kind == "fixed" else moving),
     )
@@ -108,8 +108,7 @@ def _say(fitted: FittedDrive, nearest: Nearest, drives: list[Motor], inputs: Map
     ]
     if not drives:
         return [*limits, "The command is an effort: the file does not convert the recorded commands to it."]
-    if inputs.keys() & INPUTS.keys():
-        listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
+    if listed := say_inputs(inputs):
         limits.append(f"Gains in <param> are valid at {listed}.")
     exact = [lack for lack in list_lacks(fitted, nearest) if lack not in (nearest.lacks, "delays are whole steps")]
     return limits + ([f"Gains in <param> leave out: {', '.join(exact)}."] if exact else [])

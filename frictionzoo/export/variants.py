@@ -9,8 +9,7 @@ import yaml
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, ExportError, closest
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.motor import motors
+from frictionzoo.export.motor import MOTOR, motors
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.evaluate import Values
 from frictionzoo.result.fitted_drive import FittedDrive
@@ -20,14 +19,6 @@ from frictionzoo.result.types import Value
 _SAME = 1e-9  # relative tolerance for a quantity to equal a parameter
 _EXAMPLE = "'ranges={bench.armature: [0.8, 1.2]}'"
 QUANTILES = 0.025, 0.975
-MOTOR: Mapping[str, str] = {
-    "stiffness": "stiffness",
-    "damping": "damping",
-    "saturation_effort": "torque",
-    "velocity_limit": "velocity",
-    "effort_limit": "torque",
-}
-"""Dimension of each attribute of a `Motor`."""
 
 
 class Range(NamedTuple):
@@ -76,10 +67,9 @@ def read_ranges(text: str, fitted: FittedDrive) -> Ranges:
     rows = fitted.result.parameters
     names = {f"{row.owner}.{row.name}" for row in rows}.union(*map(label_values, rows))
     ranges = {}
-    for name in stated:
+    for name, given in stated.items():
         if name not in names:
             raise ConfigError(f"ranges: {name}: no such parameter of this run; {closest(str(name), names)}")
-    for name, given in stated.items():
         absolute = isinstance(given, dict) and given.keys() == {"low", "high"}
         ends = (given["low"], given["high"]) if absolute else given if isinstance(given, list) else ()
         try:
@@ -133,10 +123,10 @@ def _stated(ranges: Ranges, label: str) -> Range | None:
 
 
 def _refuse_vague(fitted: FittedDrive, ranges: Ranges) -> None:
-    entries = {label: entry for row in fitted.result.parameters for label, entry in label_values(row).items()}
     vague = [
         label
-        for label, entry in entries.items()
+        for row in fitted.result.parameters
+        for label, entry in label_values(row).items()
         if entry.identified and not entry.identifiable and _stated(ranges, label) is None
     ]
     if not vague:
@@ -187,7 +177,7 @@ def list_quantities(
     `values` are those of the fitted drive and of each drawn one, `drives` the same with MuJoCo's joint friction;
     `inputs` are gain and supply of a servo.
     """
-    units = UNITS[fitted.bench.joint_type]
+    units = fitted.units
     joint = {
         "armature": ("inertia", [drive.bench["armature"] for drive in drives]),
         "frictionloss": ("torque", [drive.frictionloss for drive in drives]),

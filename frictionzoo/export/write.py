@@ -16,8 +16,7 @@ from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
 from frictionzoo.core.output import take_place, to_json, write_atomically, write_json
 from frictionzoo.core.telling import align, escape_all
-from frictionzoo.core.units import UNITS
-from frictionzoo.export.base import Export, Written, get_target, read_number, target_names
+from frictionzoo.export.base import Export, Written, get_target, read_optional, target_names
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
 from frictionzoo.result.simulator import RK4, find_limited
@@ -41,9 +40,8 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
         FrictionzooError: An option is invalid, the run cannot be read, or the single target cannot represent the drive.
     """
     names = _choose(options)
-    fitted = FittedDrive.load(folder)
+    fitted = _in_simulator(FittedDrive.load(folder), options)
     output = Path(options.get("output", folder / "export"))
-    fitted = _in_simulator(fitted, options)
     if options["target"] != ALL:
         place = output if "output" in options else output / names[0]
         return [_write(fitted, names[0], place, options)]
@@ -77,20 +75,22 @@ def summarise_exports(written: Sequence[Written]) -> str:
     return "\n\n".join("\n".join(block) for block in ([align(rows)], *escape_all([limits, reasons, files])) if block)
 
 
-def export_to(drive: FittedDrive, target: str, path: Path, options: Mapping[str, str]) -> Written:
+def export_to(drive: FittedDrive, target: str, path: Path, options: Mapping[str, Any]) -> Written:
     """Write a drive for one program.
 
     `path` is a folder; or a file, which is replaced by the target's only file with this extension. `options` are
-    `timestep` [s] and `integrator` of the simulator, and options of the target, as text.
+    `timestep` [s] and `integrator` of the simulator, and options of the target; other values than text are converted
+    to the text of the command line.
 
     Raises:
         FrictionzooError: An option is invalid, the target cannot represent the drive, or has no such file.
     """
-    asked = {**options, "target": target}
+    asked = {name: value if isinstance(value, str) else json.dumps(to_json(value)) for name, value in options.items()}
+    asked["target"] = target
     (name, *others) = _choose(asked)
     if others:
         raise ConfigError(f"target={target}; expected one target; {closest(target, target_names())}")
-    drive = _in_simulator(drive, options)
+    drive = _in_simulator(drive, asked)
     if not path.suffix:
         return _write(drive, name, path, asked)
     with tempfile.TemporaryDirectory() as scratch:
@@ -101,11 +101,6 @@ def export_to(drive: FittedDrive, target: str, path: Path, options: Mapping[str,
             raise ConfigError(f"{path}: target={name} writes {', '.join(files)}; expected a folder, or one's ending")
         write_atomically(path, Path(scratch, name, matching[0]).read_bytes())
     return replace(written, folder=path.parent)
-
-
-def as_text(option: Any) -> str:
-    """Convert an option (text, number, or mapping) to the text of the command line."""
-    return option if isinstance(option, str) else json.dumps(to_json(option))
 
 
 def _choose(options: Mapping[str, str]) -> list[str]:
@@ -124,7 +119,7 @@ def _choose(options: Mapping[str, str]) -> list[str]:
 
 def _in_simulator(fitted: FittedDrive, options: Mapping[str, str]) -> FittedDrive:
     """Return the drive for the requested simulator, by default with the time step of its model file."""
-    timestep, integrator = read_number(options, "timestep"), options.get("integrator")
+    timestep, integrator = read_optional(options, "timestep"), options.get("integrator")
     if timestep is None and integrator is None and (fitted.origin is not None or not fitted.bench.second_order):
         return fitted
     return fitted.at(timestep, integrator)
@@ -153,8 +148,7 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
         export = target.write(moved, fresh, target_options)
         export = replace(export, limits=(*export.limits, *_say_simulator(moved)))
         written = Written(name, place, export, error=moved.result.metrics.test.position_mae)
-        note = _note(moved, written, target.packages, export)
-        write_json(fresh / NOTE, to_json(note))
+        write_json(fresh / NOTE, to_json(_note(moved, written, export, target.packages)))
     return written
 
 
@@ -162,7 +156,7 @@ def _say_simulator(moved: FittedDrive) -> list[str]:
     origin, step, integrator = moved.origin, moved.timestep, moved.integrator
     if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not moved.is_simulated):
         return []
-    qpos, unit = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"]
+    qpos, unit = moved.rollout()[0], moved.units["position"]
     distance = np.abs(qpos - moved.predict_origin().qpos)
     gap = f"by {distance.mean():.2g} {unit} on average and {distance.max():.2g} {unit} at most, over {moved.over}"
     if not moved.is_simulated:
@@ -187,7 +181,7 @@ def _say_simulator(moved: FittedDrive) -> list[str]:
     return remarks
 
 
-def _note(fitted: FittedDrive, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:
+def _note(fitted: FittedDrive, written: Written, export: Export, packages: Sequence[str]) -> dict[str, object]:
     names = metadata.packages_distributions()
     versions = {package: metadata.version(names.get(package, [package])[0]) for package in packages}
     return {

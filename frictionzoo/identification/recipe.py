@@ -19,6 +19,7 @@ from msgspec.structs import astuple
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
 from frictionzoo.bench.given import Given
+from frictionzoo.bench.interval import is_whole
 from frictionzoo.bench.signals import pair_all
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
@@ -262,7 +263,7 @@ def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bo
 def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float) -> tuple[Bench, Mapping[str, Any]]:
     """Make the timestep divide the sample interval [s] if none was set; an open one stays `auto` in the settings."""
     timestep, steps = settings["bench"].get("timestep"), interval / bench.timestep
-    if timestep not in (None, AUTO) or bench.fits(interval):
+    if timestep not in (None, AUTO) or is_whole(interval, bench.timestep):
         return bench, settings
     step = interval / math.ceil(steps)
     text = "%s: timestep %g s instead of %g s, to divide the sample interval of %g s"

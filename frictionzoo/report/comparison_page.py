@@ -13,12 +13,12 @@ from msgspec.structs import replace as replace_fields
 
 from frictionzoo import __version__
 from frictionzoo.core.anonymous import list_paths_of, without_paths
-from frictionzoo.core.output import RESULT, write_atomically
+from frictionzoo.core.output import RESULT
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.colors import DARK
 from frictionzoo.report.comparison_advice import check_order, list_next_steps, list_steps_to_use
 from frictionzoo.report.comparison_plots import Look, choose_looks, plot_comparison
-from frictionzoo.report.page import render_page
+from frictionzoo.report.page import save_page
 from frictionzoo.report.run_page import (
     METHODS,
     check_held_out,
@@ -40,20 +40,6 @@ POINTS = 2000  # largest number of points per curve; a comparison has many curve
 LONG = 4  # number of differing options above which the list is folded
 FITTED = ("fit", "segments", "loss", "bench")  # sections whose options change the fit
 FILES = {"comparison.json": "all numbers of this page, for programs", "table.tex": "the ranking as a LaTeX table"}
-LINKS = {
-    "verdict": "Recommendation",
-    "ranking": "Ranking",
-    "trust": "Checks passed",
-    "runs": "Runs",
-    "errors": "Errors",
-    "rollout": "Rollout",
-    "where": "Error analysis",
-    "friction": "Friction curves",
-    "parameters": "Parameters",
-    "data": "Data",
-    "files": "Files",
-}
-"""Section titles by id."""
 STOPPED = {
     "converged": "converged",
     "finished": "all iterations completed",
@@ -81,7 +67,8 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         str(i): list(plot_history(run.result, run.curves, looks[run.label]["color"])) for i, run in enumerate(ranked)
     }
     sections |= {name: drawn for name, drawn in plot_comparison(comparison, ranked).items() if name != "parameters"}
-    page = render_page(
+    save_page(
+        path,
         "report/comparison.html.jinja",
         sections,
         checks,
@@ -95,14 +82,12 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         recommended=best,
         order=order,
         advice=None if best is None else _advise(comparison, ranked[best["index"]], places[best["index"]]),
-        links=LINKS,
         parameters=list(_list_parameters(comparison.runs)),
         folded=len(comparison.differences) > LONG,
         files=_list_files(path.parent),
         state={"labels": [*looks], "selected": best["index"] if best else 0},
         version=__version__,
     )
-    write_atomically(path, page)
 
 
 def _anonymise(
@@ -140,7 +125,6 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "index": index,
         "label": run.label,
         "entry": entry,
-        "result": run.result,
         "style": {
             "color": look["color"],
             "dark": DARK.get(look["color"], look["color"]),

@@ -74,9 +74,9 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
         "differences": [_plot_differences(comparison)] if len(runs) > 1 else [],
         "trajectories": list(_plot_trajectories(comparison, ranked)),
         "error": [_plot_error(comparison, ranked)],
-        "by_horizon": [_plot_by_horizon(comparison)],
-        "by_speed": [_plot_by_bin(comparison, "by_speed", "Error by speed", speed)],
-        "by_load": [_plot_by_bin(comparison, "by_load", "Error by load", load)],
+        "by_horizon": [_plot_errors_over(comparison, "by_horizon", Axis("horizon", "s"))],
+        "by_speed": [_plot_errors_over(comparison, "by_speed", speed)],
+        "by_load": [_plot_errors_over(comparison, "by_load", load)],
         "autocorrelation": [_plot_autocorrelation(comparison)],
         "friction": list(_plot_friction(comparison)),
         "loss": [_plot_loss(comparison, ranked)],
@@ -279,29 +279,25 @@ def _say_difference(pair: Pair) -> str:
     return f"{interval}, {pair.verdict}"
 
 
-def _plot_by_horizon(comparison: Comparison) -> Figure:
-    rollouts, horizon = comparison.evaluation.long_rollouts, comparison.evaluation.long_horizon
-    text = f"Mean position error over the first seconds of {rollouts} test rollouts of {horizon:g} s."
-    panel = _draw_errors_over(comparison, "by_horizon", Axis("horizon", "s"))
-    return Figure("Error by horizon", text, (panel,))
-
-
-def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"], title: str, axis: Axis) -> Figure:
-    windows = comparison[section].windows
-    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label} with"
-    return Figure(title, f"{text} equal counts.", (_draw_errors_over(comparison, section, axis, "circle"),))
-
-
-def _draw_errors_over(
-    comparison: Comparison, section: Literal["by_horizon", "by_speed", "by_load"], axis: Axis, marker: str = ""
-) -> Panel:
-    x = _numbers(comparison.by_horizon.horizon if section == "by_horizon" else comparison[section].centre)
-    errors = {label: _numbers(values) for label, values in comparison[section].position_mae.items()}
+def _plot_errors_over(
+    comparison: Comparison, section: Literal["by_horizon", "by_speed", "by_load"], axis: Axis
+) -> Figure:
+    evaluation, errors_of = comparison.evaluation, comparison[section]
+    if section == "by_horizon":
+        x, marker = _numbers(errors_of.horizon), ""
+        text = f"Mean position error over the first seconds of {evaluation.long_rollouts} test rollouts of "
+        text += f"{evaluation.long_horizon:g} s."
+    else:
+        x, marker, windows = _numbers(errors_of.centre), "circle", errors_of.windows
+        text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label} with "
+        text += "equal counts."
+    errors = {label: _numbers(values) for label, values in errors_of.position_mae.items()}
     points: dict[str, Any] = {"marker": "circle" if len(x) == 1 else marker, "size": 5.0}
     marks = [Curve(x=x, y=errors[label], **points, **look) for label, look in _looks(comparison).items()]
     y = scale_errors("position MAE", comparison.unit, list(errors.values()), (), RUNAWAY)
     shown = replace(axis, limits=(0.0, 1.02 * float(x.max(initial=0.0)) or 1.0))
-    return Panel(marks, shown, y, say_above(marks, y))
+    panel = Panel(marks, shown, y, say_above(marks, y))
+    return Figure(f"Error by {section.removeprefix('by_')}", text, (panel,))
 
 
 def _plot_friction(comparison: Comparison) -> Iterator[Figure]:

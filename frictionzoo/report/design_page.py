@@ -10,34 +10,13 @@ from jaxtyping import Float
 from frictionzoo import __version__
 from frictionzoo.bench.limits import Motion
 from frictionzoo.core.anonymous import list_paths, list_paths_in, without_paths
-from frictionzoo.core.output import write_atomically
 from frictionzoo.core.telling import say_percent
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.report.colors import BASELINE, BEST, MODEL
 from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe, frame
-from frictionzoo.report.page import render_page
+from frictionzoo.report.page import save_page
 from frictionzoo.report.run_page import LEAST, MOST
 
-LINKS = {
-    "known": "Predicted accuracy",
-    "limits": "Limits",
-    "motion": "Motion",
-    "record": "How to record",
-    "search": "Search options",
-    "files": "Files",
-}
-"""Headings of the sections, by id."""
-FILES = {  # descriptions of the files in the page's folder
-    "excitation.json": "all numbers of this page as JSON",
-    "command.csv": "the command at each sample",
-    "expected.csv": "the command with the expected motion, as a log",
-    "trajectory.yaml": "the command for ROS 2",
-    "actions.json": "the command for LeRobot",
-}
-PUBLISH = (  # the same command as in docs/design.md
-    "ros2 topic pub --once /joint_trajectory_controller/joint_trajectory trajectory_msgs/msg/JointTrajectory "
-    '"$(cat trajectory.yaml)"'
-)
 WIDE = 0.5  # largest half interval, as a share of the value, that counts as known
 ROOM = 4.0  # limits that span more than this many times the motion are outside the frame
 _DASH = (4.0, 3.0)
@@ -61,7 +40,8 @@ def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Mot
         "phase": [_plot_phase(note, motion, joint) for joint in joints],
         "spectrum": [_plot_spectrum(note, interval, motion, joint) for joint in joints],
     }
-    page = render_page(
+    save_page(
+        path,
         "report/design.html.jinja",
         sections,
         list(check_command(note)),
@@ -70,13 +50,9 @@ def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Mot
         headline=_say_headline(note),
         parameters=_group_parameters(note),
         joints=_list_joints(note),
-        links=LINKS,
-        publish=PUBLISH,
         wide=WIDE,
-        files={name: text for name, text in FILES.items() if name in ("excitation.json", *note["files"])},
         version=__version__,
     )
-    write_atomically(path, page)
 
 
 def check_command(note: Mapping[str, Any]) -> Iterator[Finding]:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.core.output import write_atomically
 from frictionzoo.data.recording import Recording
 from frictionzoo.data.signals import derive_velocity, find_spikes, regular_stretch, repair_spikes
 from frictionzoo.diagnostics.findings import Finding
@@ -15,7 +14,7 @@ from frictionzoo.diagnostics.survey import pool_velocities, rank_by_faults
 from frictionzoo.report.colors import BASELINE, BEST, MODEL
 from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe
 from frictionzoo.report.inspection_terminal import list_quantities
-from frictionzoo.report.page import render_page
+from frictionzoo.report.page import save_page
 
 BINS = 61
 LISTED = 50  # largest number of recordings in the table; inspect.json has all
@@ -36,7 +35,8 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
         "worst": [_plot_recording(worst, joint, survey) for joint in joints],
         "spread": list(_plot_spreads(survey)) if len(recordings) > 1 else [],
     }
-    page = render_page(
+    save_page(
+        path,
         "report/inspect.html.jinja",
         sections,
         [Finding(**finding) for finding in survey["findings"]],
@@ -45,7 +45,6 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
         rows=ranked[:LISTED],
         version=survey["version"],
     )
-    write_atomically(path, page)
 
 
 def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mapping[str, Any]) -> Figure:

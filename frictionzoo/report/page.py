@@ -6,10 +6,12 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from frictionzoo.core.output import write_atomically
 from frictionzoo.core.telling import say_percent
 from frictionzoo.core.templates import open_template
 from frictionzoo.diagnostics.findings import Finding
@@ -17,41 +19,43 @@ from frictionzoo.report import with_plotly
 from frictionzoo.report.colors import DARK
 from frictionzoo.report.figure import Figure
 from frictionzoo.report.text import format_change, format_number, format_share, format_unit, say_origin
-from frictionzoo.result.names import label_values, merge_known, place_between_bounds, read_values
+from frictionzoo.result.names import label_values, list_widths, merge_known, place_between_bounds, read_values
 from frictionzoo.result.types import ParameterRecord, Value
 
 
-def render_page(
+def save_page(
+    path: Path,
     template: str,
     sections: Mapping[str, Sequence[Figure]],
     checks: Sequence[Finding],
     points: int = with_plotly.POINTS,
     state: Mapping[str, Any] | None = None,
     **content: Any,
-) -> bytes:
-    """Render one self-contained page from a template, relative to the package, that extends `report/page.html.jinja`.
+) -> None:
+    """Write one self-contained page from a template, relative to the package, that extends `report/page.html.jinja`.
 
     `sections` has figures by the template's name for them, with at most `points` points per curve. `state` is data for
     the page's script, `content` for the template, such as the program's `version`.
+
+    Raises:
+        OutputError: The file cannot be written.
     """
-    drawn = {name: [with_plotly.draw(figure, points) for figure in figures] for name, figures in sections.items()}
-    names, figures = list(sections), [figure for figures in drawn.values() for figure in figures]
+    first, figures = dict[str, int](), list[dict[str, Any]]()
+    for name, described in sections.items():
+        first[name] = len(figures)  # index of the first figure of each section
+        figures += [with_plotly.draw(figure, points) for figure in described]
     data = {"figures": figures, "dark": DARK, "state": state or {}}
-    return (
-        open_template(template, _FILTERS, html=True)
-        .render(
-            sections=sections,
-            # Index of the first figure of each section.
-            first={name: sum(len(drawn[before]) for before in names[:i]) for i, name in enumerate(names)},
-            data=pack(json.dumps(data, separators=(",", ":"))),
-            plotly=pack_library("plotly/plotly-basic.min.js"),
-            checks=checks,
-            doubts=sum(check.doubtful for check in checks),
-            state=state or {},
-            **content,
-        )
-        .encode()
+    page = open_template(template, _FILTERS, html=True).render(
+        sections=sections,
+        first=first,
+        data=pack(json.dumps(data, separators=(",", ":"))),
+        plotly=pack_library("plotly/plotly-basic.min.js"),
+        checks=checks,
+        doubts=sum(check.doubtful for check in checks),
+        state=state or {},
+        **content,
     )
+    write_atomically(path, page.encode())
 
 
 def pack(text: str) -> str:
@@ -75,15 +79,12 @@ def _overview(parameter: ParameterRecord) -> dict[str, Any]:
     counts = (ended, "at a bound"), (vague, "not identifiable")
     low, high = format_number(float(values.min())), format_number(float(values.max()))
     spread = low if low == high else f"{low} to {high}"
+    shared = f"shared by {first_row.name}" if len(first_row.joints) > 1 else first_row.name
     return {
         "value": format_number(float(values.mean())) if rows else spread,
-        "said": (_say_whose(first_row) if len(parameter.by_joint) == 1 else spread) if rows else "known",
+        "said": (shared if len(parameter.by_joint) == 1 else spread) if rows else "known",
         "doubt": ", ".join(label if len(rows) == 1 else f"{n} of {len(rows)} {label}" for n, label in counts if n),
     }
-
-
-def _say_whose(row: Value) -> str:
-    return f"shared by {row.name}" if len(row.joints) > 1 else row.name
 
 
 def _place(row: Value, value: float) -> float:
@@ -93,15 +94,12 @@ def _place(row: Value, value: float) -> float:
 def _say_certainty(parameters: Sequence[ParameterRecord]) -> str:
     """Return a sentence with the identifiable values of the widest and narrowest relative interval; empty for none."""
     rows = {label: row for p in parameters for label, row in label_values(p).items() if row.identified}
-    width = {
-        label: (row.interval[1] - row.interval[0]) / abs(2 * row.value)
-        for label, row in rows.items()
-        if row.interval is not None and row.value and row.identifiable is not False
-    }
+    sure = {label for label, row in rows.items() if row.identifiable is not False}
+    width = {label: share for label, share in list_widths(parameters).items() if label in sure}
     if not width:
         return ""
     least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
-    scope = " of the identifiable values" if any(row.identifiable is False for row in rows.values()) else ""
+    scope = " of the identifiable values" if len(sure) < len(rows) else ""
     text = f"Least certain{scope}: {least}, ± {say_percent(width[least])}"
     return f"{text}; most certain: {most}, ± {say_percent(width[most])}." if most != least else f"{text}."
 

@@ -11,25 +11,15 @@ from msgspec.structs import asdict, replace
 
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.jobs import read_begun
-from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.output import to_json
 from frictionzoo.diagnostics.findings import Finding
-from frictionzoo.report.page import pack_library, render_page
+from frictionzoo.report.page import pack_library, save_page
 from frictionzoo.report.rollouts import say_where
 from frictionzoo.report.run_plots import choose_rollouts, plot_run
 from frictionzoo.report.terminal import ERRORS
 from frictionzoo.report.text import format_change, format_number, format_share
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.types import (
-    Data,
-    FitRecord,
-    JointErrors,
-    Metrics,
-    ParameterRecord,
-    PartMetrics,
-    Result,
-    Timing,
-    Value,
-)
+from frictionzoo.result.types import Data, JointErrors, Metrics, ParameterRecord, Result, Timing, Value
 from frictionzoo.result.verdict import doubt_reference, is_usable, judge, list_rollouts, say_finding, say_purposes
 
 TITLES = {
@@ -47,28 +37,8 @@ TITLES = {
     "residual": "Residual",
 }
 """Titles of findings by kind."""
-LINKS = {
-    "verdict": "Verdict",
-    "rollout": "Rollouts",
-    "replay": "Replay",
-    "friction": "Friction",
-    "left": "Residual",
-    "parameters": "Parameters",
-    "trust": "Checks passed",
-    "errors": "Accuracy",
-    "joints": "Joints",
-    "history": "Optimisation",
-    "horizons": "Horizons",
-    "files": "Files",
-}
-"""Section titles by id."""
 _NEAR, _NAMED = 0.8, 3  # correlation from which a pair is named; largest number of named pairs
 MOST, LEAST = 1500, 500  # points per curve for one joint, and at least for several; three figures share a row
-PORTRAYED = (
-    "Points: friction implied by the recorded torque in motion, the median of each bin; they lie on the curve if the "
-    "residual is noise. Bars: 10 to 90 % of a bin. Band: 95 % intervals of the identifiable parameters; it does not "
-    "include missing terms."
-)
 METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
 FILES = {  # other files of a run, by path relative to the page
     "result.json": "all numbers of this page, for programs",
@@ -103,41 +73,36 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
     place, command, result = without_paths([place, command, result], paths, result.joints, Path.cwd())
     result.parameters = [_add_starts(parameter, result.joints, curves) for parameter in result.parameters]
     joints = list_joints(result) if len(result.joints) > 1 else []
-    absent = {*(("friction", "left") if joints else ("joints",)), *([] if replay else ["replay"])}
     metrics, timestep = result.metrics, result.settings.get("bench", {}).get("timestep")
-    content = {
-        "result": result,
-        "verdict": result.verdict,
-        "joints": joints,
-        "links": [(key, text) for key, text in LINKS.items() if key not in absent],
-        "place": place,
-        "uses": list_uses(place, is_usable(result)),
-        "usable": is_usable(result),
-        "purposes": say_purposes(result.verdict.commands),
-        "command": command,
-        "step": f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file",
-        "ranks": _say_ranks(curves),
-        "shown": _say_shown(result, curves),
-        "portrayed": PORTRAYED,
-        "correlations": [correlate(result, joint) for joint in result.joints],
-        "headline": _say_headline(result),
-        "errors": list(_compare_errors(metrics.test, metrics.baseline, metrics.test)),
-        "evaluations": list(_list_evaluations(result)),
-        "timing": list_timing(result.timing),
-        "files": {name: text for name, text in FILES.items() if name == "result.json" or (folder / name).exists()},
-        "version": result.versions.frictionzoo,
-        "versions": to_json(result.versions),
-    }
-    page = render_page(
+    *before, last = choose_rollouts(curves)
+    save_page(
+        path,
         "report/run.html.jinja",
         plot_run(result, curves),
         list(check_result(result)),
         points=max(LEAST, MOST // len(result.joints)),
         state={"replay": replay},
         three=pack_library("three/three.min.js") if replay else "",
-        **content,
+        result=result,
+        verdict=result.verdict,
+        joints=joints,
+        place=place,
+        uses=list_uses(place, is_usable(result)),
+        usable=is_usable(result),
+        purposes=say_purposes(result.verdict.commands),
+        command=command,
+        step=f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file",
+        ranks=f"{', '.join(before)} and {last} test rollout".capitalize() if before else f"The {last} test rollout",
+        shown=_say_shown(result, curves),
+        correlations=[correlate(result, joint) for joint in result.joints],
+        headline=_say_headline(result),
+        errors=list(_compare_errors(metrics.test, metrics.baseline, metrics.test)),
+        evaluations=list(_list_evaluations(result)),
+        timing=list_timing(result.timing),
+        files={name: text for name, text in FILES.items() if name == "result.json" or (folder / name).exists()},
+        version=result.versions.frictionzoo,
+        versions=to_json(result.versions),
     )
-    write_atomically(path, page)
 
 
 def list_uses(place: str, usable: bool = True) -> list[str]:
@@ -170,11 +135,6 @@ def _add_starts(parameter: ParameterRecord, joints: list[str], curves: Curves) -
         for row in parameter.by_joint
     ]
     return replace(parameter, by_joint=rows)
-
-
-def _say_ranks(curves: Curves) -> str:
-    *before, last = choose_rollouts(curves)
-    return f"{', '.join(before)} and {last} test rollout".capitalize() if before else f"The {last} test rollout"
 
 
 def _say_shown(result: Result, curves: Curves) -> str:
@@ -227,7 +187,9 @@ def check_result(result: Result) -> Iterator[Finding]:
     doubts = judge(result).findings
     for doubt in doubts:
         text = say_finding(doubt)
-        yield Finding("bad" if doubt.severe else "caution", TITLES[doubt.kind], f"{_capitalise(text)}.")
+        if not set("._/") & set(text.split(maxsplit=1)[0]):  # the first word is no name
+            text = text[0].upper() + text[1:]
+        yield Finding("bad" if doubt.severe else "caution", TITLES[doubt.kind], f"{text}.")
     kinds = {doubt.kind for doubt in doubts}
     for kind, check in _list_checks(result):
         if kind not in kinds:
@@ -241,8 +203,11 @@ def _list_checks(result: Result) -> Iterator[tuple[str, Finding]]:
         text = f"In each of the {len(result.joints)} joints, the test error is smaller than without friction."
         yield "joints", Finding("good", TITLES["joints"], text)
     yield "held out", check_held_out(result.data)
-    yield "train", _check_train(result.metrics)
-    yield "fit", _check_fit(result.fit)
+    train, test = (result.metrics[part].position_mae for part in ("train", "test"))
+    ratio = f"{test / train:.2g}" if test is not None and train else "none"
+    text = f"The test error, {format_number(test)} {result.metrics.test.unit}, is {ratio} times the training error"
+    yield "train", Finding("good", TITLES["train"], f"{text}: no sign of overfitting.")
+    yield "fit", _check_fit(result)
     identified = [parameter for parameter in result.parameters if parameter.identified]
     text = f"No parameter ended at a bound ({len(identified)} identified)."
     yield "bounds", Finding("good", TITLES["bounds"], text)
@@ -294,14 +259,8 @@ def check_held_out(data: Data) -> Finding:
     return Finding("good", "Held-out data", text)
 
 
-def _check_train(metrics: PartMetrics) -> Finding:
-    train, test = (metrics[part].position_mae for part in ("train", "test"))
-    ratio = f"{test / train:.2g}" if test is not None and train else "none"
-    text = f"The test error, {format_number(test)} {metrics.test.unit}, is {ratio} times the training error"
-    return Finding("good", TITLES["train"], f"{text}: no sign of overfitting.")
-
-
-def _check_fit(fit: FitRecord) -> Finding:
+def _check_fit(result: Result) -> Finding:
+    fit = result.fit
     method, count = METHODS.get(fit.method, fit.method), fit.iterations
     iterations = f"{count} iteration{'s' * (count != 1)}"
     reported = f"iteration {fit.best_iteration}, with the lowest training loss, is reported"
@@ -314,12 +273,6 @@ def _check_fit(fit: FitRecord) -> Finding:
     outcome = fit.method if fit.stopped == "finished" else fit.stopped
     state, text = checks.get(outcome, ("good", f"{method} completed {iterations}; {reported}."))
     return Finding(state, TITLES["fit"], text)
-
-
-def _capitalise(text: str) -> str:
-    """Capitalise a sentence, unless its first word is a name."""
-    word = text.split(maxsplit=1)[0]
-    return text if set("._/") & set(word) else text[0].upper() + text[1:]
 
 
 def check_origin(data: Data) -> Finding:
@@ -365,7 +318,11 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
     for row in result.by_joint:
         values = [(p, value) for p in result.parameters for value in p.by_joint if row.joint in value.joints]
         # Values shared by all joints are not a doubt about this joint.
-        doubts = [_doubt_value(p, value) for p, value in values if len(value.joints) < len(result.joints)]
+        doubts = [
+            f"{p.name} {'at a bound' if value.at_bound else 'not identifiable'}"
+            for p, value in values
+            if (value.at_bound or value.identifiable is False) and len(value.joints) < len(result.joints)
+        ]
         shown = {
             "name": row.joint,
             "residual": residuals.get(row.joint),
@@ -373,13 +330,8 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
             "parameters": values,
             "open": row is largest,
         }
-        joints.append({**shown, "doubt": "; ".join(filter(None, doubts))})
+        joints.append({**shown, "doubt": "; ".join(doubts)})
     return joints
-
-
-def _doubt_value(parameter: ParameterRecord, value: Value) -> str:
-    doubt = "at a bound" if value.at_bound else "not identifiable" if value.identifiable is False else ""
-    return f"{parameter.name} {doubt}" if doubt else ""
 
 
 def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:

@@ -39,7 +39,11 @@ def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
     """
     shown = choose_rollouts(curves)
     return {
-        "portraits": list(plot_portraits(result, curves)),
+        "portraits": [
+            _plot_portrait(result, curves, joint, over)
+            for joint in range(len(result.joints))
+            for over in curves.portraits
+        ],
         "trajectories": list(_plot_trajectories(result, curves, shown)),
         "error": list(_plot_errors(result, curves, shown)),
         "phase": list(_plot_phases(result, curves, shown)),
@@ -238,13 +242,6 @@ def _plot_horizons(result: Result) -> Figure:
     return Figure("Position error by horizon", f"Mean position error {'; '.join(phrases)}.", (panel,))
 
 
-def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
-    """Yield friction curves of each joint over all inputs of the model, with the friction implied by recordings."""
-    for joint in range(len(result.joints)):
-        for over in curves.portraits:
-            yield _plot_portrait(result, curves, joint, over)
-
-
 def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> None:
     """Save a picture of friction over velocity, one panel per joint.
 
@@ -260,6 +257,7 @@ def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> No
 
 
 def _plot_portrait(result: Result, curves: Curves, joint: int, over: str) -> Figure:
+    """Return the friction curve of a joint over an input of the model, with the friction implied by recordings."""
     units, name, (label, unit) = find_units(result), result.joints[joint], _OVER[over]
     portrait = Portrait(*(part[:, joint] for part in curves.portraits[over]))
     x = Axis(label, units.get(unit, unit))

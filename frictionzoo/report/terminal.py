@@ -13,10 +13,9 @@ from frictionzoo.result.comparison.drift import Drift, say_change
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known
 from frictionzoo.result.section_types import Torque, WrittenModel
-from frictionzoo.result.types import Data, Metrics, ParameterRecord, Result, Value
+from frictionzoo.result.types import Data, Metrics, Result
 from frictionzoo.result.verdict import FAR, say_finding, say_purposes
 
-_format_value = partial(format_number, between=" ")
 _format_change = partial(format_change, signs="-++")
 
 ERRORS = {  # row of the table: key of the metric, key of its unit
@@ -123,7 +122,7 @@ def summarise_drift(drift: Drift, folder: Path | None) -> str:
     rows = [("parameter", "joint", "then", *(["spread"] if several else []), "now", "unit", "change", "")]
     for row in drift.parameters:
         spread = ["" if row.spread is None else f"{row.spread:.2g}"] if several else []
-        numbers = _format_value(row.then), *spread, "" if row.now is None else _format_value(row.now)
+        numbers = format_number(row.then), *spread, "" if row.now is None else format_number(row.now)
         rows.append((row.name, row.joint, *numbers, row.unit, say_change(row), row.verdict))
     remarks = [f"warning: {line}" for line in drift.warnings]
     if not several:
@@ -182,8 +181,8 @@ def _list_runs(comparison: Comparison) -> Rows:
         label, train, test, change = run.label, run.train, run.test, run.change.test
         rows.append(
             (
-                *(label, str(run.identified), _format_value(train.position_mae)),
-                *(_format_value(test.position_mae), _format_value(test.position_mae_std)),
+                *(label, str(run.identified), format_number(train.position_mae)),
+                *(format_number(test.position_mae), format_number(test.position_mae_std)),
                 "" if change is None else f"{round(100 * change):+d} %",
                 "best" if label == best else verdicts[label],
                 *(str(test.diverged), f"{run.timing.fit:.1f}"),
@@ -204,10 +203,11 @@ def _list_parameters(result: Result) -> Rows:
     for parameter in result.parameters:
         name = f"{parameter.owner}.{parameter.name}"
         for row in merge_known(parameter.by_joint) if several else parameter.by_joint:
-            joint, status = [row.name] if several else [], say_status(row)
-            status = "at a bound" if several and row.at_bound else status
+            joint = [row.name] if several else []
+            status = "not identifiable" if row.identifiable is False else "identified"
+            status = "at a bound" if several and row.at_bound else status if row.identified else "known"
             interval = "" if row.interval is None else "{:.4g} to {:.4g}".format(*row.interval)
-            rows.append((name, *joint, _format_value(row.value), interval, parameter.unit, status))
+            rows.append((name, *joint, format_number(row.value), interval, parameter.unit, status))
             name = ""  # only in the first row of a parameter
     if result.network:
         joint = [""] if several else []  # the model determines which joints it covers
@@ -221,7 +221,7 @@ def _list_joints(result: Result) -> Rows:
     for row in result.by_joint:
         error, without = (row[part].position_mae for part in ("test", "baseline"))
         change = _format_change(error, without)
-        rows.append((row.joint, _format_value(error), _format_value(without), unit, change))
+        rows.append((row.joint, format_number(error), format_number(without), unit, change))
     return rows
 
 
@@ -229,7 +229,7 @@ def _list_torque(torque: Torque) -> Rows:
     rows = [("residual torque, test, RMS", "residual", "torque", "unit", "share")]
     tests = [(row.joint, row.test) for row in torque.by_joint]
     for name, test in [*tests, ("mean", torque.mean.test)][: len(tests) + (len(tests) > 1)]:
-        values = _format_value(test.residual), _format_value(test.torque)
+        values = format_number(test.residual), format_number(test.torque)
         rows.append((name, *values, torque.unit, format_share(test.residual, test.torque)))
     return rows
 
@@ -238,7 +238,7 @@ def _list_written(result: Result) -> Rows:
     rows = [("loaded in MuJoCo, differs by", "mean", "largest", "unit", "of the test error")]
     for row in result.written:
         share = "" if row.share is None else f"{100 * row.share:.2g} %"
-        rows.append((row.file, _format_value(row.mean), _format_value(row.largest), row.unit, share))
+        rows.append((row.file, format_number(row.mean), format_number(row.largest), row.unit, share))
     return rows
 
 
@@ -262,7 +262,7 @@ def _list_errors(test: Metrics, reference: Metrics, names: tuple[str, str]) -> R
     rows = [(f"test, {test.rollouts} x {test.horizon:g} s", *names, "unit", "change")]
     for row, (key, unit) in ERRORS.items():
         change = _format_change(test[key], reference[key])
-        rows.append((row, _format_value(test[key]), _format_value(reference[key]), test[unit], change))
+        rows.append((row, format_number(test[key]), format_number(reference[key]), test[unit], change))
     rows.append(("diverged", str(test.diverged), str(reference.diverged), "rollouts", ""))
     return rows
 
@@ -282,13 +282,6 @@ def _list_verdict(result: Result) -> list[str]:
         lines += [f"next: {say_purposes(verdict.commands)}"]
         lines += [f"  {row.command}" for row in verdict.commands]
     return lines
-
-
-def say_status(parameter: ParameterRecord | Value) -> str:
-    """Return the status of a value from `result.json`: known, identified or not identifiable."""
-    if not parameter.identified:
-        return "known"
-    return "not identifiable" if parameter.identifiable is False else "identified"
 
 
 def _tabulate_in_markdown(rows: Rows) -> str:

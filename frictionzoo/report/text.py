@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from frictionzoo.core.telling import escape_controls, say_percent
 
 
-def format_number(value: float | Sequence[float] | None, between: str = ", ") -> str:
+def format_number(value: float | Sequence[float] | None) -> str:
     """Format a value, or one value per joint."""
     if value is None:
         return "none"
-    return f"{value:.4g}" if isinstance(value, int | float) else between.join(f"{joint:.4g}" for joint in value)
+    return f"{value:.4g}" if isinstance(value, int | float) else ", ".join(f"{joint:.4g}" for joint in value)
 
 
 def say_origin(origin: str | None) -> str:

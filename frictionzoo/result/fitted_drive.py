@@ -17,6 +17,7 @@ from frictionzoo.core.errors import RunError
 from frictionzoo.core.records import Proof
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
+from frictionzoo.core.units import UNITS
 from frictionzoo.fit.posterior import Fitted
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.formula import as_numpy, torch_values
@@ -186,6 +187,11 @@ class FittedDrive:
     def timestep(self) -> float:
         """Simulation step [s]."""
         return self.bench.timestep
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each dimension for the joints."""
+        return UNITS[self.bench.joint_type]
 
     @property
     def recorded(self) -> Segments:

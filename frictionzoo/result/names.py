@@ -1,6 +1,6 @@
 """Names of parameters and joints for sentences, labels and tables, and access to values of a record."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,16 @@ def label_values(parameter: ReferenceParameter) -> dict[str, Value]:
     """Return the entries of a parameter by label: `bench.armature`, or `bench.armature/knee` with several entries."""
     full, rows = f"{parameter.owner}.{parameter.name}", parameter.by_joint
     return {full if len(rows) == 1 else f"{full}/{row.name}": row for row in rows}
+
+
+def list_widths(parameters: Iterable[ReferenceParameter]) -> dict[str, float]:
+    """Return half of each confidence interval as a share of its value, by label; without those of a value 0."""
+    rows = (entry for parameter in parameters for entry in label_values(parameter).items())
+    return {
+        label: (row.interval[1] - row.interval[0]) / abs(2 * row.value)
+        for label, row in rows
+        if row.interval is not None and row.value
+    }
 
 
 def name_where(parameter: ReferenceParameter, **what: Any) -> str:
