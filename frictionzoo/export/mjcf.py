@@ -181,11 +181,12 @@ def _list_remarks(
         prefix = f"Simulated unchanged in MuJoCo with held-out commands ({difference.over}):"
         unit, error = difference.unit, fitted.result.metrics.test.position_mae
         share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
+        reason = difference.reason and f": {difference.reason}"
         remarks.append(
             f"{prefix} the identified drive is represented exactly, positions within {EXACT:g} {unit}."
             if difference.largest <= EXACT
             else f"{prefix} its positions differ from the identified drive's by {difference.mean:.3g} {unit} on "
-            f"average{share} and {difference.largest:.3g} {unit} at most{difference.reason and f': {difference.reason}'}."
+            f"average{share} and {difference.largest:.3g} {unit} at most{reason}."
         )
     return remarks + [limit for limit in limits if limit != nearest.remark]
 
