@@ -11,11 +11,11 @@ from frictionzoo.result.comparison import drift
 from frictionzoo.result.comparison import record as comparison
 
 DOCS = Path(__file__).parent
-SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
-    "result": result.read_schema,
-    "comparison": comparison.read_schema,
-    "drift": drift.read_schema,
-    "inspect": survey.read_schema,
+SCHEMAS = {  # modules with the schema of NAME.json, for docs/NAME.md
+    "result": result,
+    "comparison": comparison,
+    "drift": drift,
+    "inspect": survey,
 }
 HEAD = """# `{name}.json`
 
@@ -41,7 +41,7 @@ def render(name: str) -> str:
     Args:
         name: Key of `SCHEMAS`.
     """
-    schema = SCHEMAS[name]()
+    schema = SCHEMAS[name].read_schema()
     definitions = schema.get("$defs", {})
     references = json.dumps(schema)
     single, sections = [], []
@@ -55,7 +55,7 @@ def render(name: str) -> str:
         if "properties" in field and f'"#/$defs/{kind}"' in references:
             inner = (row for key, value in field["properties"].items() for row in _rows(key, value, definitions))
             sections += [f"## Objects of the kind *{kind}*\n", field["description"] + "\n", _table(inner)]
-    head = HEAD.format(name=name, module=SCHEMAS[name].__module__, description=schema["description"])
+    head = HEAD.format(name=name, module=SCHEMAS[name].__name__, description=schema["description"])
     return "\n".join([head, "## Single values\n", _table(single), *sections])
 
 
