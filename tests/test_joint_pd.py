@@ -264,3 +264,10 @@ def test_doubts_look_at_all_commands(leg: Any) -> None:
         assert any("takes energy from the drive" in doubt.text for doubt in told_of)
     follows = bench.accept(read(move(told, GAINS)))
     assert check_up(Dataset("robot", (follows,), (follows,)), bench, "strict") == []
+    # A knee that stands still is a fault only if it is commanded to move.
+    resting = {name: getattr(follows, name) * [1, 0] for name in ("qpos", "qvel")}
+    for ctrl, severe in ((follows.ctrl * [1, 0], set()), (follows.ctrl, {"still"})):
+        extras = {**follows.extras, "ctrl_velocity": 0 * ctrl, "ctrl_torque": 0 * ctrl}
+        log = bench.accept(replace(follows, **resting, ctrl=ctrl, extras=extras))
+        found = check_up(Dataset("robot", (follows, log), (follows,)), bench, "warn")
+        assert {one.title for one in found if one.state == "bad"} == severe

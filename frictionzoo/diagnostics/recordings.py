@@ -20,10 +20,9 @@ from frictionzoo.diagnostics.findings import Finding, of_joint, settle
 from frictionzoo.diagnostics.following import Followed, check_asked, check_drift, check_following, find_swaps, settling
 from frictionzoo.diagnostics.lags import compare
 from frictionzoo.diagnostics.readings import check_readings
-from frictionzoo.diagnostics.samples import SHORT, check_clock, check_signals, check_turns
+from frictionzoo.diagnostics.samples import SHORT, check_clock, check_signals, check_turns, has_more
 from frictionzoo.diagnostics.torque import KNOWN, agrees, check_recorded, check_torque
 
-GAINS = ("kp", "kd")  # commands that move nothing by themselves
 BRIEF = 2.5  # s; shorter recordings have too little motion to compare commands and torque
 CLOSELY = 40  # evenly spread recordings with all checks; the others skip following and torque
 
@@ -114,7 +113,7 @@ def _check_forces(
     yield from findings
     named = named | {entry.joint or name for entry in findings for name in bench.joints}
     for joint, name in enumerate(bench.joints):
-        is_commanded = np.ptp(log.ctrl[:, joint]) > 0 or _has_more(log, bench, joint)
+        is_commanded = np.ptp(log.ctrl[:, joint]) > 0 or has_more(log, bench, joint)
         if name not in named and is_commanded and not agrees(explained[joint]):
             yield from (replace(fault, log=log.name, joint=name) for fault in check_work(bench, joint, works[joint]))
 
@@ -138,7 +137,7 @@ def _check_commands(
     if bench.joints[joint] in bench.passive:
         return
     on, of, to_position = _following(log, bench, joint), of_joint(bench.joints, joint), takes_position(bench)
-    if np.ptp(log.ctrl[:, joint]) > 0 or not _has_more(log, bench, joint):
+    if np.ptp(log.ctrl[:, joint]) > 0 or not has_more(log, bench, joint):
         follows = log.qpos[on, joint] if to_position and on.any() else None
         if faults := list(check_command(of, log.ctrl[:, joint], follows)):
             yield from faults
@@ -158,8 +157,3 @@ def _following(log: Log, bench: Bench, joint: int) -> Bool[np.ndarray, "time"]:
     on = np.ravel(log.extras.get("enable", np.ones(1))) > 0
     on = on if len(on) == log.samples else np.full(log.samples, on.any())
     return on & (log.inputs["kp"][:, joint] > 0) if "kp" in bench.actuator.inputs else on
-
-
-def _has_more(log: Log, bench: Bench, joint: int) -> bool:
-    """Return whether a joint receives another varying command than `ctrl`."""
-    return any(np.ptp(log.inputs[name][:, joint]) > 0 for name in bench.actuator.commands if name not in GAINS)
