@@ -93,7 +93,7 @@ def test_limits_are_of_each_joint() -> None:
 def test_a_drive_that_cannot_rest_within_its_limits_is_refused(knee: Bench) -> None:
     limits = Limits.read(1, position=[0.9, 2.1], velocity=4, torque=0.2)
     with pytest.raises(
-        ConfigError, match=r"torque=0\.2: holding knee at 1\.5 rad alone takes 0\.2867 N m, expected more"
+        ConfigError, match=r"torque=0\.2: holding knee at 1\.5 rad already needs 0\.2867 N m, expected more"
     ):
         refuse_unholdable(knee, knee.initial_values(), {}, limits)
     refuse_unholdable(knee, knee.initial_values(), {}, replace(limits, torque=np.array([0.3])))

@@ -254,7 +254,7 @@ def test_bam_gets_the_nearest_of_another_law_for_the_servo_with_its_gain(tmp_pat
     export = write("bam", draw("neural_friction", *STS3215), tmp_path)
     law = read(tmp_path / "m3.json")
     assert min(law["friction_base"], law["load_friction_base"], law["friction_viscous"]) >= 0
-    assert "leaves" in export.limits[0] and "neural_friction" in export.limits[0]
+    assert "RMS residual" in export.limits[0] and "neural_friction" in export.limits[0]
     (tmp_path / "other").mkdir()
     assert "xl330" in " ".join(write("bam", draw("mujoco_default", "bench=xl330"), tmp_path / "other").limits)
 
