@@ -530,7 +530,7 @@ def test_another_time_step_says_what_it_changes(run_folder, tmp_path, capsys):
         (["target=mjcf", "target=mjx"], "target=mjx: target is given twice"),
         (["target=mujoco", "into=robot.xml"], "into: unknown option of target=mujoco"),
         (["target=mjcf", "timestep=fast"], "timestep=fast: expected a number"),
-        (["target=mjcf", "timestep=-1"], "timestep=-1; expected steps"),
+        (["target=mjcf", "timestep=-1"], "timestep=-1; expected a step"),
         (["target=mjcf", "output=taken"], "taken/export.json: not written by this program"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
