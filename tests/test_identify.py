@@ -262,7 +262,7 @@ def test_what_was_read_twice_is_compared_under_two_labels(finished_run: Callable
 def test_recordings_that_were_in_memory_cannot_be_read_again_and_say_so(stand: Path) -> None:
     samples = {"time": np.arange(200) / 100, "qpos": np.sin(np.arange(200)), "ctrl": np.zeros(200)}
     held = fz.read(stand / "a.csv", samples)
-    for logs, name in ((held, "recording 1 in memory"), (Logs.of(held), str(stand / "a.csv"))):
+    for logs, name in ((held, "recording 1 in memory"), (Logs.of([*held]), str(stand / "a.csv"))):
         section = logs.dividing(fz.Split(gap=0.1)).section
         with pytest.raises(LogError, match=rf"^{name}: the run had it in memory, .*save its arrays as CSV"):
             build(json.loads(json.dumps(section))).load()

@@ -244,7 +244,7 @@ def test_a_file_that_cannot_be_played_says_why(tmp_path: Path) -> None:
         assert row["exact"] == played == ("represented exactly" in text)
         if not played:
             assert row["mean"] is row["largest"] is row["share"] is None
-            assert any("not played: knee0" in limit and limit in text for limit in row["limits"])
+            assert any("not simulated: a tendon connects knee0" in limit and limit in text for limit in row["limits"])
 
 
 def test_the_makers_range_of_commands_is_named(tmp_path: Path) -> None:
