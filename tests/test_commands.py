@@ -251,7 +251,7 @@ LEFT = {
 }
 RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"python3\.11 -m venv .* pip install -c constraints\.txt -e .*|pytest -n 2", is_run_by_ci),
-    (r"python3\.11 -m venv .* make install .*", install_for_development),
+    (r"python3\.11 -m venv .* make install .*", install_for_development, SLOW),  # pre-commit comes with `dev`
     (r"pip install (-c constraints\.txt )?-e \"\.\[[\w,]+\]\"", extras_exist),
     (r"export FRICTIONZOO_DATA=\S+", lambda *_: "oc.env:FRICTIONZOO_DATA" in (CONF_DIR / "data/emps.yaml").read_text()),
     (r"pip install \./experiments/\w+|python -m pytest experiments/\w+", lambda command, _: command in WITH_PACKAGE),
