@@ -251,7 +251,7 @@ def test_one_column_serves_all_joints(leg: Any) -> None:
 
 def test_doubts_look_at_all_commands(leg: Any) -> None:
     """A drive by feed-forward torque alone moves, and a torque of the wrong sign is refused."""
-    told = commands(300)
+    told = commands(600)
     still = {"ctrl": 0 * told["ctrl"], "ctrl_velocity": 0 * told["ctrl"], "ctrl_torque": 3 * told["ctrl_torque"]}
     for law, gains in ((fz.RecordedPD(), {"kp": 0.0, "kd": 0.05}), (fz.JointPD(**GAINS), GAINS)):
         bench: Bench = leg(law)
@@ -264,10 +264,10 @@ def test_doubts_look_at_all_commands(leg: Any) -> None:
         assert any("takes energy from the drive" in doubt.text for doubt in told_of)
     follows = bench.accept(read(move(told, GAINS)))
     assert check_up(Dataset("robot", (follows,), (follows,)), bench, "strict") == []
-    # A knee that stands still is a fault only if it is commanded to move.
+    # A knee that stands still is a fault only if it is commanded to move; no torque explains its motion.
     resting = {name: getattr(follows, name) * [1, 0] for name in ("qpos", "qvel")}
     for ctrl, severe in ((follows.ctrl * [1, 0], set()), (follows.ctrl, {"still"})):
-        extras = {**follows.extras, "ctrl_velocity": 0 * ctrl, "ctrl_torque": 0 * ctrl}
+        extras = {**follows.extras, "ctrl_velocity": 0 * ctrl, "ctrl_torque": 0 * ctrl, "torque": follows.ctrl}
         log = bench.accept(replace(follows, **resting, ctrl=ctrl, extras=extras))
         found = check_up(Dataset("robot", (follows, log), (follows,)), bench, "warn")
         assert {one.title for one in found if one.state == "bad"} == severe

@@ -112,9 +112,11 @@ def balance(log: Log, bench: Bench, model: mujoco.MjModel, measured: Torque | No
 def explain(found: BalanceRows, joint: int) -> TorqueRegression | None:
     """Fit the regression of a joint's torque; None if the joint moves too little or in one direction."""
     moving, columns = _passive(found, joint)
+    if moving.sum() < FEW:
+        return None
     torque, links = found.torque[moving, joint], found.links[moving, joint]
     forward = float(np.mean(found.qvel[moving, joint] > 0))
-    if moving.sum() < FEW or not np.ptp(torque) > 0 or not BOTH_WAYS < forward < 1 - BOTH_WAYS:
+    if not np.ptp(torque) > 0 or not BOTH_WAYS < forward < 1 - BOTH_WAYS:
         return None
     inertial = columns[:, [0, -1]]
     noninertial = links - inertial @ np.linalg.lstsq(inertial, links, rcond=None)[0]
