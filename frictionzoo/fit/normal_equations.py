@@ -86,17 +86,16 @@ class Damping(NamedTuple):
     """Levenberg-Marquardt damping, as a share of each curvature.
 
     Attributes:
-        least: While steps succeed; above 0, combinations that the data do not determine do not move.
+        least: At least; a successful step divides the damping by 10. Above 0, combinations that the data do not
+            determine do not move.
         failed: At least, after a failed step.
-        kept: A successful step divides damping above this value by 10; other damping falls to `least`.
     """
 
     least: float
     failed: float
-    kept: float
 
 
-DAMPING = Damping(1e-6, 0.1, 0.1)
+DAMPING = Damping(1e-6, 0.1)
 
 
 def descend(
@@ -141,8 +140,8 @@ def descend(
             trial = evaluate(best + length * step)
             if trial.finite and trial.loss < equations.loss:
                 best, equations = best + length * step, trial
-                if length == 1:
-                    stiffness = stiffness / 10 if stiffness > damping.kept else damping.least
+                if length == 1:  # slowly: the damping that just failed would fail again
+                    stiffness = max(stiffness / 10, damping.least)
                 break
         else:
             stiffness = max(10 * stiffness, damping.failed)

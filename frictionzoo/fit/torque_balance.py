@@ -144,7 +144,7 @@ def balance(equation: TorqueEquation, links: FreeLinks | None = None) -> Balance
     for _ in range(_PASSES):
         evaluate = partial(unknowns.evaluate, sigma=sigma)
         values, _, converged = descend(
-            evaluate, box, _STEPS + 1, _TOLERANCE, damping=Damping(0.0, 1e-3, 0.0), lengths=_LENGTHS
+            evaluate, box, _STEPS + 1, _TOLERANCE, damping=Damping(0.0, 1e-3), lengths=_LENGTHS
         )
         box = box._replace(start=values)
         last_sigma, sigma = sigma, _deviation(unknowns.residual(values), moving, len(values) / len(sigma))
