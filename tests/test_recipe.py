@@ -3,6 +3,8 @@
 import operator
 from collections.abc import Callable
 from functools import reduce
+from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from omegaconf import OmegaConf
 import frictionzoo as fz
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config, compose_settings
-from frictionzoo.core.described import remake
+from frictionzoo.core.described import describe, remake
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
@@ -20,14 +22,15 @@ from frictionzoo.core.segments import cut_segments
 from frictionzoo.data.signals import find_noise
 from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
-from frictionzoo.identification.choices import OPTIONAL, imply
+from frictionzoo.identification.choices import OPTIONAL, imply, option_of
 from frictionzoo.identification.noise import Misfit, Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
-from frictionzoo.identification.recipe import Parts, _divide_interval
+from frictionzoo.identification.recipe import Parts, _divide_interval, leave_open
 from frictionzoo.identification.trials import hold_back
 
 TIMESTEP, DELAY = 0.005, 0.012
 PULL = 0.2  # N m, constant
+GAIN = 20.0  # N m/rad, of the simulated drive
 OPTIONS = ("data=twin", f"data.timestep={TIMESTEP}", "data.substeps=20", "data.samples=2400", "data.cache_dir=null")
 DRIVE = {"command_delay": DELAY, "load_share": 0.0, "ripple_torque": 0.0, "static_torque": 0.11}
 QUICK: dict[str, Any] = {"evaluation": {"horizons": [0.5], "rollouts": 2, "places": 2, "trajectory": 1.0}}
@@ -104,12 +107,38 @@ def test_a_drive_is_found_with_nothing_said(found: fz.Identified) -> None:
     assert values["delay"] == pytest.approx(DELAY, abs=5e-4)
     assert values["torque_offset"] == pytest.approx(PULL, rel=0.05)
     chosen = {row["option"]: row["value"] for row in found.result["recipe"]}
-    identified = {name: chosen[f"bench.params.{name}.identify"] for name in OPTIONAL}
-    assert identified == {"delay": True, "position_offset": False, "torque_offset": True}
+    identified = {name: chosen.get(f"{option_of(name)}.identify") for name in OPTIONAL}
+    assert identified == {"delay": True, "position_offset": False, "torque_offset": True, "kp": None}
     assert chosen["loss.refine"] is True and chosen["dtype"] == found.result["dtype"] == "float64"
     for option, value in chosen.items():
         assert reduce(operator.getitem, option.split("."), found.result["settings"]) == value, option
     assert all(row["reason"] for row in found.result["recipe"])
+
+
+@pytest.mark.usefixtures("in_haste")
+@pytest.mark.parametrize("stated", [GAIN, 1.5 * GAIN])
+def test_a_gain_that_only_a_file_states_is_judged_by_the_recordings(
+    stated: float, recorded: Dataset, tmp_path: Path
+) -> None:
+    """A second run reads the choices; a gain that the user states is not judged."""
+    text = (resources.files("frictionzoo.bench") / "assets" / "knee_rod.xml").read_text()
+    servo = f'<actuator><position joint="knee" kp="{stated}" kv="1"/></actuator></mujoco>'
+    (tmp_path / "servo.xml").write_text(text.replace("</mujoco>", servo))
+    law = fz.law("coulomb_smooth")
+
+    def settle(**how: Any) -> Parts:
+        bench = fz.Robot(str(tmp_path / "servo.xml"), **how)
+        settings = compose_settings(QUICK, "recipe=auto")
+        settings["bench"] = leave_open(describe(bench), settings["bench"], from_file=True)
+        return Parts.settle(settings, bench, recorded, law, build(settings["fit"]), tmp_path)
+
+    judged, again, told = settle(), settle(), settle(actuator=fz.JointPD(kp=stated, kd=1.0))
+    assert judged.bench.params["kp"].is_identified == again.bench.params["kp"].is_identified == (stated != GAIN)
+    assert judged.start is not None and again.start is not None
+    if stated != GAIN:
+        found = dict(zip(judged.start.labels, judged.start.vector, strict=True))["bench.kp"]
+        assert np.exp(found) == pytest.approx(GAIN, rel=2e-3)
+    assert not told.bench.params["kp"].is_identified
 
 
 def test_joints_with_larger_errors_have_no_longer_tails() -> None:

@@ -1,16 +1,19 @@
 """Choices of the automatic settings that need no fit: implied options, upper bounds, and lengths of rollouts."""
 
 import copy
+import functools
 import logging
+import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Actuator, Bench
+from frictionzoo.core.build import build
 from frictionzoo.core.config import list_choices
-from frictionzoo.core.described import remake
+from frictionzoo.core.described import describe, remake
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO, Param
@@ -22,6 +25,7 @@ from frictionzoo.models.by_name import law_section
 from frictionzoo.result.evaluate import Evaluator
 from frictionzoo.result.section_types import AutomaticSetting
 
+_CHOSEN = ("params", "timestep", "solreffriction", "second_order")  # options of a bench
 _log = logging.getLogger(__name__)
 FEWEST = 10  # samples of a segment, and of an evaluation rollout
 _AMPLE = 2.0  # factor on the bound that the torque allows
@@ -32,10 +36,16 @@ OPTIONAL = {
     "delay": "the data show a delay",
     "position_offset": "the data show an encoder offset",
     "torque_offset": "the data show a constant torque",
+    "kp": "the data contradict the file's value",
 }
-"""Bench parameters that are identified only if the recordings show them, with that reason; 0 means absent for each."""
+"""Bench parameters that are identified only if the recordings show them, with that reason.
+
+Otherwise each is 0, or the file's value if it is a gain.
+"""
 RIVALS = "torque_offset", "position_offset"
 """Two optional parameters that shift a balance with gravity alike: at most one of them is identified."""
+GAIN = "kp"  # open if only a robot's file states it
+_GAIN_BOUNDS = {"low": 1e-3, "high": 1e5, "scale": "log"}  # as in conf/bench/robot.yaml
 
 
 def imply(loss: Mapping[str, Any]) -> Iterator[AutomaticSetting]:
@@ -55,9 +65,51 @@ def imply(loss: Mapping[str, Any]) -> Iterator[AutomaticSetting]:
         yield AutomaticSetting("segments.count", None, "loss.continuity needs consecutive segments")
 
 
-def is_open(params: Mapping[str, Any], name: str) -> bool:
-    """Return whether a bench's parameter section leaves open if this parameter is identified."""
-    return isinstance(params.get(name), Mapping) and params[name].get("identify") == AUTO
+def is_open(settings: Mapping[str, Any], option: str) -> bool:
+    """Return whether the settings leave a dotted option open; an option that they lack is not open."""
+    value = get(settings, option)
+    return isinstance(value, str) and value == AUTO
+
+
+def get(settings: Mapping[str, Any], option: str) -> Any:
+    """Return the value of a dotted option; None if the settings lack it."""
+    value: Any = settings
+    for name in option.split("."):
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return value
+
+
+def put(settings: dict[str, Any], option: str, value: Any) -> None:
+    """Set the value of a dotted option."""
+    *path, name = option.split(".")
+    functools.reduce(operator.getitem, path, settings)[name] = value
+
+
+def option_of(name: str) -> str:
+    """Return the dotted option of a bench's parameter that may be open."""
+    return f"bench.actuator.params.{name}" if name == GAIN else f"bench.params.{name}"
+
+
+def open_gain(settings: Mapping[str, Any], bench: Bench) -> Mapping[str, Any]:
+    """Leave open whether position gains are identified, if `recipe` is `auto` and only a robot's file states them."""
+    gain = bench.actuator.params.get(GAIN)
+    if settings["recipe"] != AUTO or gain is None or gain.init is not None or gain.is_identified:
+        return settings
+    if not (bench.initial_values()[GAIN] > 0).all():  # servos of velocity, and joints without an actuator
+        return settings
+    section = settings["bench"].get("actuator") or describe(bench.actuator)
+    bounds = {} if gain.scale == "log" else _GAIN_BOUNDS
+    gains = {**section["params"], GAIN: {**section["params"][GAIN], **bounds, "identify": AUTO}}
+    return {**settings, "bench": {**settings["bench"], "actuator": {**section, "params": gains}}}
+
+
+def change_bench(bench: Bench, section: Mapping[str, Any]) -> Bench:
+    """Return the bench with the chosen options of a section in the settings."""
+    changed = {name: section[name] for name in _CHOSEN if name in section}
+    gain = bench.actuator.params.get(GAIN)
+    if gain is not None and not gain.is_identified and get(section, f"actuator.params.{GAIN}.identify") is True:
+        changed["actuator"] = build(section["actuator"], Actuator)
+    return remake(bench, **changed)
 
 
 def widen_bounds(

@@ -22,7 +22,7 @@ from frictionzoo.fit.several import Searches
 from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.fit.uncertainty import WIDEST, assess
-from frictionzoo.identification.choices import OPTIONAL
+from frictionzoo.identification.choices import GAIN, OPTIONAL
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulation.drive import Drive
 
@@ -158,7 +158,7 @@ class Pilot:
         thorough: bool = False,
         kept: Bool[np.ndarray, "segments"] | None = None,
     ) -> PilotResult:
-        """Fit by Levenberg-Marquardt; the result does not contain the bench parameters `without`, which are fixed at 0.
+        """Fit by Levenberg-Marquardt; the result lacks the bench parameters `without`, which are `absent`.
 
         `thorough` uses a multi-start: with nested models if the model has several minima, and with other delays. `kept`
         are the segments that count; None for all.
@@ -169,7 +169,7 @@ class Pilot:
         moving = self._moving(without)
         objective = self.objective.beginning(begun.states_of(self.segments)).among(kept)
         searches = Searches(objective, _MOST_TRIES, _TOLERANCE, moving)
-        end = searches.go_on(np.where(moving, self.whole(begun), 0.0))
+        end = searches.go_on(np.where(moving, self.whole(begun), self.absent))
         if thorough and self._drive.model.valleys:
             end = min(end, searches.look(), key=lambda end: end.loss)
         vector, loss = (searches.best(end) if thorough else end)[1:]
@@ -179,10 +179,10 @@ class Pilot:
         return self._conclude(vector, loss, moving, searches.begun and searches.begun.states)
 
     def foresee(self, found: PilotResult, without: str, instead: str) -> PilotResult:
-        """Predict the last fit's result, linearised, with bench parameter `without` fixed at 0 and `instead` free."""
+        """Predict the last fit's result, linearised, with bench parameter `without` absent and `instead` free."""
         (equations, scores), vector = self._end, self.whole(found)
         moving = self._moving({without, *(OPTIONAL.keys() - found.owners - {instead})})
-        change = np.where(moving, 0.0, -vector)
+        change = np.where(moving, 0.0, self.absent - vector)
         shifted = equations._replace(gradient=equations.gradient + equations.hessian @ change)
         change[moving] = -_solve(shifted, np.flatnonzero(moving))
         delta = equations.hessian @ change
@@ -243,11 +243,17 @@ class Pilot:
         step[free] = -_solve(equations, places)
         return step, equations.loss + float(step[free] @ equations.gradient[places])
 
+    @property
+    def absent(self) -> Coordinates:
+        """Coordinates without optional parameters: 0 for each, the initial ones for gains and all others."""
+        zero = {f"bench.{name}" for name in OPTIONAL if name != GAIN}
+        is_zero = [label.partition("/")[0] in zero for label in self.space.labels]
+        return np.where(is_zero, 0.0, self.start)
+
     def whole(self, found: PilotResult) -> Coordinates:
-        """Return all coordinates; missing ones are 0 if optional, else the initial ones."""
+        """Return all coordinates; missing ones are `absent`."""
         labels, start = self.space.labels, np.array(self.space.start, np.float64)
-        optional = [label.partition("/")[0].removeprefix("bench.") in OPTIONAL for label in labels]
-        start[: len(labels)] = found.among(labels, np.where(optional, 0.0, start[: len(labels)]))
+        start[: len(labels)] = found.among(labels, self.absent)
         return start
 
     def residuals(self, found: PilotResult) -> Errors:

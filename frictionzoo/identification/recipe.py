@@ -34,10 +34,9 @@ from frictionzoo.data.pairing import describe_columns
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit
-from frictionzoo.identification.choices import OPTIONAL, fit_lengths, widen_bounds
+from frictionzoo.identification.choices import GAIN, OPTIONAL, change_bench, fit_lengths, open_gain, put, widen_bounds
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.identification.stages import Stages
-from frictionzoo.identification.trials import put
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.record import describe_data
@@ -49,7 +48,6 @@ RECIPES = ("given", AUTO)
 _TEXT = "settled"  # entry of the file's header
 _ARRAYS = ("vector", "half", "enough", "at_bound", "measured", "states", "sizes")
 _INDIFFERENT = ("compilation_cache", "device", "logger", "loop", "resume", "threads")
-_OF_THE_BENCH = ("params", "timestep", "solreffriction", "second_order")
 _log = logging.getLogger(__name__)
 
 
@@ -135,6 +133,7 @@ class Parts:
         train, test = (tuple(map(observing.accept, logs)) for logs in (dataset.train, dataset.test))
         doubts = check_up(Dataset(dataset.name, train, test), observing, settings["checkup"])
         settings, bench, widened = widen_bounds(settings, bench, train, model)
+        settings = open_gain(settings, bench)
         parts = cls(settings, bench, dataset, model, fit, doubts, (*shortened, *widened))
         if settings["recipe"] == AUTO:
             with computing("float64", settings["device"], settings["compilation_cache"]):
@@ -213,11 +212,10 @@ class Parts:
             put(settings, option, value)
         if stored["labels"] is not None:
             start = PilotResult(labels=stored["labels"], loss=stored["loss"], **{"states": None, **arrays})
-        section = {name: settings["bench"][name] for name in _OF_THE_BENCH if name in settings["bench"]}
         return replace(
             self,
             settings=settings,
-            bench=remake(self.bench, **section),
+            bench=change_bench(self.bench, settings["bench"]),
             choices=(*self.choices, *(AutomaticSetting(*choice) for choice in stored["choices"])),
             doubts=[*self.doubts, *(Finding("caution", "timestep", text) for text in stored["doubts"])],
             start=start,
@@ -252,7 +250,7 @@ def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bo
     `plain` is the section of a configuration with `recipe=auto`, which lists the options that may be open. `from_file`
     is whether a robot's file states the delay of commands.
     """
-    optional = {name: dict(plain["params"][name]) for name in OPTIONAL}
+    optional = {name: dict(plain["params"][name]) for name in OPTIONAL if name != GAIN}
     optional["delay"] |= {"init": None} if from_file else {}
     open_options = {
         name: plain[name] for name in ("timestep", "solreffriction", "second_order") if bench.get(name) is None

@@ -10,10 +10,10 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.core.telling import tell
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit.loss import soft_width
-from frictionzoo.identification.choices import FEWEST, OPTIONAL, RIVALS, imply
+from frictionzoo.identification.choices import FEWEST, GAIN, OPTIONAL, RIVALS, imply, option_of, put
 from frictionzoo.identification.noise import Misfit
 from frictionzoo.identification.pilot import Pilot, PilotResult, halve_step
-from frictionzoo.identification.trials import COARSEST, MOST_STEPS, Trials, put
+from frictionzoo.identification.trials import COARSEST, MOST_STEPS, Trials
 
 _LONGEST, _SHORT = 1.0, 0.1  # s, longest segments with and without estimated initial states
 _GROWTH = 20.0  # largest growth of a disturbance within a segment
@@ -26,6 +26,7 @@ _HELPFUL = 0.005  # relative gain on the validation block that a doubtful parame
 _HOPELESS = 3.0  # predicted loss ratio above which softer friction is not fitted
 _HELPS = "reduces the validation error"
 _NOT_SHOWN = "not identifiable from these data, fixed at 0"
+_AGREES = "the data agree with the file's value"
 
 
 class Stages(Trials):
@@ -183,7 +184,7 @@ class Stages(Trials):
         self._choose("loss.velocity", self._velocity_beside_rounding(), f"{reason}{self._unit}")
 
     def _choose_free(self) -> None:
-        """Identify optional parameters that differ clearly from 0 or reduce the validation error."""
+        """Identify optional parameters that differ clearly from absent ones or reduce the validation error."""
         pilot, values = self._near, dict[str, str]()
         assert pilot is not None
         self._go_on(pilot)
@@ -204,12 +205,12 @@ class Stages(Trials):
                 self._go_on(pilot)
         gain = f"; ratio {error_ratio:.3g}"
         for name in self._free:
-            chosen = name not in self._out
-            why = _HELPS if helps and name in doubtful else OPTIONAL[name] if chosen else _NOT_SHOWN
+            chosen, kept = name not in self._out, _AGREES if name == GAIN else _NOT_SHOWN
+            why = _HELPS if helps and name in doubtful else OPTIONAL[name] if chosen else kept
             reason = f"{why} ({values[name]})" + gain * (why == _HELPS)
-            self._choose(f"bench.params.{name}.identify", chosen, reason)
-            if not chosen:
-                put(self.settings, f"bench.params.{name}.init", 0.0)  # instead of its initial value
+            self._choose(f"{option_of(name)}.identify", chosen, reason)
+            if not chosen and name != GAIN:
+                put(self.settings, f"{option_of(name)}.init", 0.0)  # instead of its initial value
 
     def _judge_rivals(self, pilot: Pilot) -> dict[str, str]:
         """Leave out the rival that is not identifiable or fits worse; return the reason by its name."""
@@ -227,12 +228,17 @@ class Stages(Trials):
 
     def _is_shown(self, found: PilotResult, name: str) -> tuple[bool, str]:
         """Return whether an optional parameter is identifiable, and its values with half intervals as text."""
-        param = self._bench.params[name]
+        param, pilot = self._bench.params[name], self._near
+        assert pilot is not None
         rows = [row for row, label in enumerate(found.labels) if label.partition("/")[0] == f"bench.{name}"]
-        values, halves = (np.asarray(param.from_coordinate(array[rows], np)) for array in (found.vector, found.half))
+        absent = dict(zip(pilot.space.labels, pilot.absent, strict=True))
+        vector, halves = found.vector[rows], found.half[rows]
+        values = np.asarray(param.from_coordinate(vector, np))
+        away = np.abs(vector - [absent[found.labels[row]] for row in rows])
         # At its upper bound a value has no interval, and 0 explains the recordings still less.
         ended_high = found.at_bound[rows] & (np.abs(values) > 0.5 * np.max(param.each("high", self._bench.nv)))
-        shown = bool((np.abs(values) > _CLEAR * halves).any() or ended_high.any())
+        shown = bool((away > _CLEAR * halves).any() or ended_high.any())
+        halves = halves * values if param.scale == "log" else np.asarray(param.from_coordinate(halves, np))
         unit = param.unit(self._bench.joint_type)
         texts = (f"{v:.3g}" + (f" +- {h:.2g}" if np.isfinite(h) else "") for v, h in zip(values, halves, strict=True))
         return shown, f"{', '.join(texts)} {unit}" + ("" if np.isfinite(halves).any() else ", no interval")
@@ -294,7 +300,7 @@ class Stages(Trials):
         """Fix the options that only pilots can choose."""
         for name in self._free:
             reason = "not estimated in this fit; fit a model with few parameters by fit=lm, then set this value"
-            self._choose(f"bench.params.{name}.identify", False, reason)
+            self._choose(f"{option_of(name)}.identify", False, reason)
         reason = "MuJoCo's default; a stiffer constraint is tried only with few parameters"
         self._choose("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), reason)
         self._choose("loss.robust", "none", "a robust loss is tried only with few parameters")

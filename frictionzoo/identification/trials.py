@@ -3,9 +3,7 @@
 import copy
 import logging
 import math
-import operator
 from collections.abc import Collection, Mapping, Sequence
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,6 @@ from jaxtyping import Bool
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.template import DEFAULT_SOLREFFRICTION
-from frictionzoo.core.described import remake
 from frictionzoo.core.errors import BenchError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
@@ -23,7 +20,7 @@ from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
-from frictionzoo.identification.choices import FEWEST, OPTIONAL, RIVALS, is_open
+from frictionzoo.identification.choices import FEWEST, OPTIONAL, RIVALS, change_bench, get, is_open, option_of, put
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.models import FrictionModel, TorchFriction
@@ -51,7 +48,7 @@ class Trials:
         self.pilot: Pilot | None = None  # with the chosen settings
         self._given: dict[str, Any] = copy.deepcopy(dict(settings))
         self._plain, self._train, self._model = bench, dataset.train, model
-        self._free = [name for name in OPTIONAL if is_open(settings["bench"]["params"], name)]
+        self._free = [name for name in OPTIONAL if self._is_open(f"{option_of(name)}.identify")]
         self._interval = dataset.train[0].timestep
         self._step_is_open = self._is_open("bench.timestep")
         if self._step_is_open:  # the longest one allowed that divides the sample interval
@@ -97,15 +94,14 @@ class Trials:
 
     def bench(self, free: Collection[str] = ()) -> Bench:
         """Return the test stand with the choices so far; `free`: only these open optional parameters are identified."""
-        section = self.settings["bench"]
-        params = dict(section.get("params") or {})
-        for name in OPTIONAL:
-            if free and name in self._free:
-                params[name] = {**self._given["bench"]["params"][name], "identify": name in free}
-            elif is_open(params, name):
-                params[name] = {**params[name], "identify": False}
-        changed = {name: section[name] for name in ("timestep", "solreffriction", "second_order") if name in section}
-        return remake(self._plain, params=params, **changed)
+        settings = {"bench": copy.deepcopy(self.settings["bench"])}
+        for name in self._free:
+            option = option_of(name)
+            if free:
+                put(settings, option, {**get(self._given, option), "identify": name in free})
+            elif is_open(settings, f"{option}.identify"):
+                put(settings, f"{option}.identify", False)
+        return change_bench(self._plain, settings["bench"])
 
     def repeat(self, settings: Mapping[str, Any], found: PilotResult) -> Pilot:
         """Return the pilot with settings and result of an earlier run."""
@@ -116,7 +112,7 @@ class Trials:
         return self._find_pilot()
 
     def _is_open(self, option: str) -> bool:
-        return bool(reduce(lambda part, name: part.get(name, {}), option.split("."), self._given) == AUTO)
+        return is_open(self._given, option)
 
     def _choose(self, option: str, value: Any, reason: str) -> None:
         """Set an option if it is open, and record the choice."""
@@ -209,12 +205,6 @@ class Trials:
     def _horizon(self) -> int:
         """Samples of an evaluation rollout."""
         return self._samples_in(float(self._given["evaluation"]["horizons"][0]))
-
-
-def put(settings: dict[str, Any], option: str, value: Any) -> None:
-    """Set the value of a dotted option."""
-    *path, name = option.split(".")
-    reduce(operator.getitem, path, settings)[name] = value
 
 
 def hold_back(segments: Segments, logs: Sequence[Log]) -> tuple[Bool[np.ndarray, "segments"], list[Log]]:
