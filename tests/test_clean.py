@@ -176,6 +176,8 @@ def test_repairs_of_many_logs_are_summed_up_with_notes_of_the_reader():
     logs = [log for recording in late for log in clean(recording, cleaning())]
     assert logs[1].repairs == ("ctrl held from 40 samples", "time counted from its first sample, at 2 s")
     assert summarise_repairs(logs) == [f"2 of 2 logs: {sentence}" for sentence in logs[0].repairs]
+    late_joints = replace(logs[0], repairs=("qvel of joint 1 lags by 18 ms", "qvel of joint 2 lags by 19 ms"))
+    assert summarise_repairs([late_joints, logs[0]])[0] == "1 of 2 logs: qvel of joint 1 lags by 18 ms"
 
 
 @pytest.mark.parametrize(

@@ -149,9 +149,9 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
 
 
 def summarise_repairs(logs: Sequence[Log]) -> list[str]:
-    """Return a line for each kind of repair, the most frequent first."""
-    kinds = Counter(NUMBER.sub("#", sentence) for log in logs for sentence in log.repairs)
-    examples = {NUMBER.sub("#", sentence): sentence for log in reversed(logs) for sentence in log.repairs}
+    """Return a line for each kind of repair, the most frequent first; several joints of a log may have the same."""
+    kinds = Counter(kind for log in logs for kind in dict.fromkeys(NUMBER.sub("#", text) for text in log.repairs))
+    examples = {NUMBER.sub("#", sentence): sentence for log in reversed(logs) for sentence in reversed(log.repairs)}
     return [f"{count} of {len(logs)} logs: {examples[kind]}" for kind, count in kinds.most_common()]
 
 
