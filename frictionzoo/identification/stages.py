@@ -21,6 +21,7 @@ _MOVES = 1 / 3  # largest change of a parameter, in half intervals, when the tim
 _ROUNDS = 4  # most halvings of the timestep
 _LATE = 0.2  # delay in sample intervals above which there may be other minima
 _CLEAR = 1.5  # half 95 % intervals from 0 beyond which an optional parameter counts as identified (0.3 % by chance)
+_FAULTY = 0.05  # relative error up to which a file's gain stays known, as errors of link inertia may cause it
 _BETTER = 0.02  # relative gain on the validation block that a robust loss needs
 _HELPFUL = 0.005  # relative gain on the validation block that a doubtful parameter needs
 _HOPELESS = 3.0  # predicted loss ratio above which softer friction is not fitted
@@ -237,7 +238,8 @@ class Stages(Trials):
         away = np.abs(vector - [absent[found.labels[row]] for row in rows])
         # At its upper bound a value has no interval, and 0 explains the recordings still less.
         ended_high = found.at_bound[rows] & (np.abs(values) > 0.5 * np.max(param.each("high", self._bench.nv)))
-        shown = bool((away > _CLEAR * halves).any() or ended_high.any())
+        least = np.maximum(_CLEAR * halves, _FAULTY if name == GAIN else 0.0)
+        shown = bool((away > least).any() or ended_high.any())
         halves = halves * values if param.scale == "log" else np.asarray(param.from_coordinate(halves, np))
         unit = param.unit(self._bench.joint_type)
         texts = (f"{v:.3g}" + (f" +- {h:.2g}" if np.isfinite(h) else "") for v, h in zip(values, halves, strict=True))
