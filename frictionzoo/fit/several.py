@@ -28,7 +28,7 @@ _FAR = 2.0  # largest change of any coordinate that follows a shifted delay
 _ROUNDS = 5  # rounds of shifts, each from the best result so far
 _FLAT = 1e-8  # curvature of a combination, as a share of the largest, below which it does not follow the delay
 _PATIENCE = 8  # vectors without much progress after which a search ends if there are other starting points
-_BETTER = 1e-6  # share of the loss by which another minimum must be lower
+_LOWER = 1e-6  # share of the loss by which another minimum must be lower
 
 
 class End(NamedTuple):
@@ -236,7 +236,7 @@ class Searches:
 def _least(ends: Sequence[End]) -> End:
     """Return the best result; of equally good ones, the first."""
     least = min(end.loss for end in ends)
-    return next(end for end in ends if end.loss <= least * (1 + _BETTER))
+    return next(end for end in ends if end.loss <= least * (1 + _LOWER))
 
 
 def _is_near(places: Sequence[float], at: int, unit: float) -> Callable[[np.ndarray], bool]:

@@ -22,7 +22,7 @@ _ROUNDS = 4  # most halvings of the timestep
 _LATE = 0.2  # delay in sample intervals above which there may be other minima
 _CLEAR = 1.5  # half 95 % intervals from 0 beyond which an optional parameter counts as identified (0.3 % by chance)
 _FAULTY = 0.05  # relative error up to which a file's gain stays known, as errors of link inertia may cause it
-_BETTER = 0.02  # relative gain on the validation block that a robust loss needs
+_ROBUST_GAIN = 0.02  # relative gain on the validation block that a robust loss needs
 _HELPFUL = 0.005  # relative gain on the validation block that a doubtful parameter needs
 _HOPELESS = 3.0  # predicted loss ratio above which softer friction is not fitted
 _HELPS = "reduces the validation error"
@@ -36,15 +36,15 @@ class Stages(Trials):
     def run(self) -> None:
         """Run all stages."""
         self.prepare()
-        if self._small:
+        if self._has_pilots:
             self._choose_loss()
             self._shorten()  # long timesteps act like a delay
-            self._choose_free()
+            self._choose_optional()
             self._choose_step()
         else:
             self._leave_out()
         self._choose("segments.count", *self._count(MOST_STEPS))
-        self.pilot = self._find_pilot() if self._small else None
+        self.pilot = self._find_pilot() if self._has_pilots else None
 
     def prepare(self) -> None:
         """Run the stages that need no fit: implied options, precision, weights and segments."""
@@ -61,12 +61,12 @@ class Stages(Trials):
         self._choose("bench.second_order", second_order, reason)
         double_reason = "least squares need rounding errors far below the noise"
         single_reason = "rounding errors are far below the accuracy of this fit"
-        self._choose("dtype", *(("float64", double_reason) if self._small else ("float32", single_reason)))
+        self._choose("dtype", *(("float64", double_reason) if self._has_pilots else ("float32", single_reason)))
         noise, several = self._noise, self._bench.nv > 1
         position = " ".join(f"{value:.2g}" for value in noise.position)
         self._choose("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
-        velocity, weight = noise.velocity, noise.velocity_weight if self._small else 1.0
-        if not self._small:
+        velocity, weight = noise.velocity, noise.velocity_weight if self._has_pilots else 1.0
+        if not self._has_pilots:
             reason = "this fit starts at measured states, noise included"
         elif velocity is None:
             reason = "velocities were estimated from positions and add almost no information"
@@ -76,7 +76,7 @@ class Stages(Trials):
         self._choose("loss.velocity", weight, reason)
         reason = "each joint's errors are divided by their RMS at the start" if several else "one joint"
         self._choose("loss.by_joint", several, reason)
-        if not self._small:
+        if not self._has_pilots:
             self._choose("loss.refine", False, "initial states are estimated only with few parameters")
 
     @property
@@ -85,15 +85,15 @@ class Stages(Trials):
 
     def _choose_segments(self) -> None:
         """Choose segments so short that errors of their initial states grow little."""
-        longest = self._samples_in(max(_LONGEST, self._model.shortest_segment) if self._small else _SHORT)
+        longest = self._samples_in(max(_LONGEST, self._model.shortest_segment) if self._has_pilots else _SHORT)
         is_open = self._is_open("segments.length")
         if is_open:
             self.settings["segments"]["length"] = longest
-        elif not self._small:
+        elif not self._has_pilots:
             return
         pilot = self._pilot()
         self._found = PilotResult.begun(pilot.space.labels, pilot.start)
-        if self._small:
+        if self._has_pilots:
             self._found = pilot.balance(self.bench({"delay"}))
         if not is_open:
             return
@@ -128,7 +128,7 @@ class Stages(Trials):
         error_ratio = self._validate(**robust) / self._validate() if try_robust else 1.0
         if try_robust:
             reason += f"; the robust loss has {error_ratio:.3g} times the validation error of least squares"
-        if error_ratio < 1 - _BETTER:
+        if error_ratio < 1 - _ROBUST_GAIN:
             self._choose("loss.robust", "soft_l1", reason)
             self._choose("loss.robust_scale", robust["robust_scale"], scale_reason)
             self._choose("loss.refine", False, "a robust loss needs measured initial states")
@@ -184,7 +184,7 @@ class Stages(Trials):
         reason = f"reduced: position errors beyond half an encoder step count like noise of {soft_width(step):.2g} "
         self._choose("loss.velocity", self._velocity_beside_rounding(), f"{reason}{self._unit}")
 
-    def _choose_free(self) -> None:
+    def _choose_optional(self) -> None:
         """Identify optional parameters that differ clearly from absent ones or reduce the validation error."""
         pilot, values = self._near, dict[str, str]()
         assert pilot is not None

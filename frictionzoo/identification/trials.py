@@ -66,7 +66,7 @@ class Trials:
         coordinates = len(Space(self._bench, model, "float64").start)
         is_few = 0 < coordinates <= MOST_COORDINATES and not isinstance(model, TorchFriction)
         # Whether pilots represent the fit: Levenberg-Marquardt with few parameters.
-        self._small = isinstance(fit, Auto | LevenbergMarquardt) and is_few
+        self._has_pilots = isinstance(fit, Auto | LevenbergMarquardt) and is_few
         self._pilots: dict[str, Pilot] = {}  # by their settings
         self._found: PilotResult  # result of the last pilot
         self._last: Pilot | None = None  # the last pilot
