@@ -13,7 +13,7 @@ from frictionzoo.bench import Bench, Force
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_segments
-from frictionzoo.fit import LevenbergMarquardt
+from frictionzoo.fit import LevenbergMarquardt, shooting
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loss import Loss
@@ -130,6 +130,7 @@ def test_equations_are_the_dense_ones(bench: Bench, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(blocks_module, "KEPT_STATES", 60)  # 3 of the 8 segments: the last block is not full
     monkeypatch.setattr(blocks_module, "ON_ACCELERATOR", 1)
     monkeypatch.setattr(blocks_module, "KEPT_BLOCKS", 1)
+    monkeypatch.setattr(shooting, "_SHORTEST", 0.0)  # the dense equations have no curvature added
     logs = [noisy(swing(0.1, seed), 1e-3, 0.03) for seed in (0, 1)]
     shot = shoot(bench, "coulomb_smooth", 10, *logs, position=2.0, velocity=0.5, continuity=CONTINUITY, by_joint=True)
     roots = np.sqrt([[2.0], [0.5]]) / root_mean_squares(shot)

@@ -26,6 +26,7 @@ class Residuals:
     """Weighted residuals of a block, their derivatives, and the equations that follow from them.
 
     Attributes:
+        interval: Sample interval [s].
         terms: Number of residuals, by which sums are divided.
         stretches: See `Objective.stretches`.
     """
@@ -34,6 +35,7 @@ class Residuals:
     rollout: Rollout
     loss: Loss
     sparsity: Sparsity
+    interval: float
     terms: float
     stretches: int
 
@@ -54,7 +56,7 @@ class Residuals:
     @property
     def shooting(self) -> Shooting:
         """Estimator of the initial states."""
-        return Shooting(self, self._bent, self.sparsity, self.loss.gap)
+        return Shooting(self, self.interval, self._bent, self.sparsity, self.loss.gap)
 
     def states(self, vector: Array, data: Blocks) -> tuple[Array, Array]:
         """Return initial states of all segments and of their successors, (blocks, segments, twice_nv).

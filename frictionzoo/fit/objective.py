@@ -357,4 +357,5 @@ class Objective:
 
     @property
     def _residuals(self) -> Residuals:
-        return Residuals(self.space, self._rollout, self._loss, self._sparsity, self._terms, self.stretches)
+        sums = self._sparsity, self.interval, self._terms, self.stretches
+        return Residuals(self.space, self._rollout, self._loss, *sums)

@@ -21,6 +21,10 @@ _FIRST, _LATER, _APART = 1e-2, 1e-4, 0.1
 and may therefore stop early: the first of the sum at the fit's first vector; at later vectors the second of the sum or,
 if larger, the third of the change of the sum between two vectors."""
 _DAMPING, _LEAST_DAMPING = 1e-2, 1e-2  # of Levenberg-Marquardt, initial and at least after a failed step
+_SHORTEST = 0.03
+"""Least time constant of an initial velocity, in sample intervals, that its curvature is increased by. Where a joint
+sticks or velocity decays within a sample, velocity and position are indistinguishable, and without it a step would be
+tens of rad/s or, where the equations are singular up to rounding, rounding error."""
 
 
 class Local(NamedTuple):
@@ -131,11 +135,13 @@ class Shooting(NamedTuple):
     Attributes:
         residuals: Function of values, initial states, next initial states and a block that returns the block's weighted
             errors of position and velocity, with the defects last where segments are linked.
+        interval: Sample interval [s].
         bent: Function that returns `bend` of residuals by branch.
         root: Root of the weight of each joint's defect in position and velocity; None for independent segments.
     """
 
     residuals: Callable[[Values, Array, Array, Blocks], Float[Array, "segments time nv kinds"]]
+    interval: float
     bent: Callable[[Array], Float[Array, "branches segments terms"]]
     sparsity: Sparsity
     root: Float[np.ndarray, "#nv 2"] | None
@@ -186,13 +192,16 @@ class Shooting(NamedTuple):
         damping = jnp.where(better, 0.1 * search.damping, jnp.maximum(10 * search.damping, _LEAST_DAMPING))
         diagonal, coupling, gradient = self._join(local, data)
         unused = self._unused(data.weight.ravel())
-        damped = diagonal * (1 + damping[:, :, None, None] * jnp.eye(diagonal.shape[-1])) + unused
+        identity = jnp.eye(diagonal.shape[-1])
+        damped = self._determined(diagonal) * (1 + damping[:, :, None, None] * identity) + unused
         step = self._solve(damped, coupling, gradient[..., None])[..., 0]
         gain, looks = jnp.sum(step * gradient) + jnp.sum(tried.square - local.square), search.looks + 1
         total, other = jnp.sum(local.square), search.other
         later_threshold = jnp.maximum(_LATER * total, _APART * jnp.abs(total - gain - other))
         threshold = jnp.where(jnp.isfinite(other), later_threshold, jnp.where(jnp.isnan(other), _ALONE, _FIRST) * total)
         settled = gain <= threshold
+        # The last step is not tried. After a failed trial, such as at a joint that sticks, it is not trusted either.
+        step = jnp.where((settled & (damping >= _DAMPING))[..., None], 0.0, step)
         ended = settled | (looks >= _MOST_LOOKS) | ((looks == 1) & ~jnp.all(jnp.isfinite(tried.square)))
         return StateSearch(state - step, state, local, damping, looks, other, gain, settled, ended)
 
@@ -224,15 +233,12 @@ class Shooting(NamedTuple):
             tangent.
         """
         diagonal, coupling, gradient = self._join(local, data)
-        # Where velocity decays within a sample, initial velocity and position are indistinguishable: the equations are
-        # singular up to rounding, and the correction would be rounding error. This regularisation changes nothing else.
-        identity = jnp.eye(diagonal.shape[-1], dtype=diagonal.dtype)
-        diagonal = diagonal * (1 + float(jnp.finfo(diagonal.dtype).eps) ** (2 / 3) * identity)
         right = mixed.own
         if self.root is not None:
             before, root = self._before(data), self._by_state(right.dtype)
             right = right - before[:, None, None] * root[..., None] * jnp.roll(mixed.gap, 1, axis=1)
-        solved = self._solve(diagonal + self._unused(data.weight.ravel()), coupling, right)
+        diagonal = self._determined(diagonal) + self._unused(data.weight.ravel())
+        solved = self._solve(diagonal, coupling, right)
         gradient_shift = jnp.einsum("bsit,bsi->bst", solved, gradient, precision="highest")
         return gradient_shift, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest"), -solved
 
@@ -278,6 +284,12 @@ class Shooting(NamedTuple):
     def _before(self, data: Blocks) -> Float[Array, "segments"]:
         """Return 1 for each segment that begins where the one before it ends, else 0."""
         return jnp.roll(data.linked.ravel(), 1)
+
+    def _determined(self, diagonal: Float[Array, "branches segments state state"]) -> Array:
+        """Return the diagonal blocks with the curvature that velocities of the shortest time constant have besides."""
+        positions = jnp.split(jnp.diagonal(diagonal, axis1=2, axis2=3), 2, axis=2)[0]
+        least = (_SHORTEST * self.interval) ** 2 * positions
+        return diagonal + jax.vmap(jax.vmap(jnp.diag))(jnp.concatenate([jnp.zeros_like(least), least], axis=2))
 
     def _unused(self, weight: Float[Array, "segments"]) -> Float[Array, "branches segments state state"]:
         """Return the diagonal that makes the equations of unused states and segments solvable."""
