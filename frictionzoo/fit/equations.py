@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import jax
@@ -13,7 +14,19 @@ from jaxtyping import Array, Float
 from frictionzoo.core.threads import usable_threads
 from frictionzoo.fit.blocks import Blocks, each_part, measured_states, to_numpy, without_motion
 from frictionzoo.fit.loss import Loss, bend
-from frictionzoo.fit.shooting import Equations, Local, Mixed, SearchStart, Shooting, StateSearch, follow, join_equations
+from frictionzoo.fit.shooting import (
+    DAMPING,
+    MOST_DAMPING,
+    Equations,
+    Local,
+    Mixed,
+    SearchStart,
+    Shooting,
+    StateSearch,
+    follow,
+    join_equations,
+    join_segments,
+)
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulation import Values
@@ -112,6 +125,13 @@ class Residuals:
         mixed = jnp.einsum("ibsk,jbsk->bsij", bent * by_state, slopes, precision="highest")
         return Equations(loss, gradient, hessian, local, Mixed(mixed, jnp.moveaxis(self.shooting.gap(slopes), 0, 3)))
 
+    def local(self, linearised: tuple[Array, Any]) -> Local:
+        """Return the part of `equations` that belongs to the initial states."""
+        errors, derivatives = linearised
+        along = self._directions(errors.dtype, errors.shape[1])
+        by_state = jax.vmap(derivatives)(*(directions[len(self.sparsity.seeds) :] for directions in along))
+        return self.shooting.local(errors, by_state)
+
     def finish(self, found: Equations, data: Blocks) -> tuple[Array, ...]:
         """Eliminate initial states; return loss, gradient by stretch, Hessian, and slopes of the best states if any."""
         loss, gradient, hessian, local, mixed = found
@@ -150,21 +170,24 @@ def compile_equations(
 ) -> Callable[[Array, Blocks, SearchStart | None], tuple[Any, ...]]:
     """Compile the function for loss, gradient by stretch, Hessian, and next start of initial states or None.
 
-    Each trial of initial states is a pass over all blocks with all derivatives. `start` is the initial vector, on all
-    devices; `exact` is for `Loss.shares`.
+    Each trial of initial states is a pass over all blocks. Where a joint sticks or turns back, trials fail and many
+    follow, with the derivatives by the states only. `start` is the initial vector, on all devices; `exact` is for
+    `Loss.shares`.
     """
     shooting, finish = residuals.shooting, jax.jit(residuals.finish)
     measured, devices = measured_states(data.qpos, data.qvel), len(data.qpos.sharding.device_set)
     example = tuple(jax.device_put(part, data.begun.sharding) for part in (measured, follow(measured)))
-    solve_block = _compile_both(residuals, exact, devices, start, next(each_part(data, example)))
+    solve_block, compile_states = _compile_both(residuals, exact, devices, start, next(each_part(data, example)))
 
-    def equations(vector: Array, data: Blocks, states: Array) -> Equations:
+    def run(solve: Callable[..., Any], vector: Array, data: Blocks, states: Array) -> list[Any]:
         sharding = data.begun.sharding  # the one that the programs were compiled for
         blocks = each_part(data, tuple(jax.device_put(part, sharding) for part in (states, follow(states))))
         # Threads pay off for blocks on one device, but not for the operations of several.
         with ThreadPoolExecutor(usable_threads() if devices == 1 else 1) as pool:
-            parts = pool.map(lambda part: jax.tree.map(np.asarray, solve_block(vector, part)), blocks)
-            return join_equations(list(parts))
+            return list(pool.map(lambda part: jax.tree.map(np.asarray, solve(vector, part)), blocks))
+
+    def equations(vector: Array, data: Blocks, states: Array) -> Equations:
+        return join_equations(run(solve_block, vector, data, states))
 
     @jax.jit
     def begin(vector: Array, begun: SearchStart, data: Blocks) -> tuple[Array, Array]:
@@ -184,31 +207,41 @@ def compile_equations(
         trial, states = shooting.by_branch(data.begun), data.begun
         if begun is not None:
             trial, states = begin(vector, begun, host)
-        search = None
+        search = system = None
         while search is None or not search.ended:
-            tried, system = states, equations(vector, data, states)
-            assert system.local is not None
+            tried, system, local = states, None, None
+            if search is None or compile_states is None or (search.damping < DAMPING).all():
+                system = equations(vector, data, states)
+                local = system.local
+            else:
+                local = join_segments(run(compile_states(), vector, data, states))
+            assert local is not None
             if search is None:
-                unknown = jax.tree.map(lambda part: np.full_like(part, np.inf), system.local)
-                search = StateSearch.begin(trial, unknown, np.nan if begun is None else begun.square)
-            search, states, best = advance(search, system.local, host)
+                unknown = jax.tree.map(lambda part: np.full_like(part, np.inf), local)
+                known = (np.nan, DAMPING) if begun is None else (begun.square, begun.damping)
+                search = StateSearch.begin(trial, unknown, *known)
+            search, states, best = advance(search, local, host)
+        is_at_trial = (begun is not None and search.settled) or not np.isfinite(search.local.square).all()
+        if system is None or not (is_at_trial or np.array_equal(tried, best)):
+            system = equations(vector, data, tried if is_at_trial else best)
         if begun is not None and search.settled:
             system = system._replace(loss=system.loss - search.gain)
-        elif np.isfinite(system.loss):
-            system = system if np.array_equal(tried, best) else equations(vector, data, best)
+        elif not is_at_trial:
             states = best
         *sums, slopes = finish(system, host)
-        return *to_numpy(sums), SearchStart(*map(np.asarray, (states, vector, slopes, system.loss)))
+        damping = np.clip(search.damping, DAMPING, MOST_DAMPING)
+        return *to_numpy(sums), SearchStart(*map(np.asarray, (states, vector, slopes, system.loss, damping)))
 
     return evaluate
 
 
 def _compile_both(
     residuals: Residuals, exact: bool, devices: int, start: Any, example: Any
-) -> Callable[[Array, Any], Any]:
+) -> tuple[Callable[[Array, Any], Equations], Callable[[], Callable[[Array, Any], Local]] | None]:
     """Compile a rollout and the equations from it into one function of a vector and a block.
 
-    On one device they compile in parallel. With several, the equations need the sharding of the rollout's results.
+    On one device they compile in parallel. With several, the equations need the sharding of the rollout's results. Also
+    return a function that compiles the states' part at its first call, where that is cheaper.
     """
     if devices == 1:  # the shape only, so that the compilation cache finds the program
         start = jax.ShapeDtypeStruct(start.shape, start.dtype)
@@ -220,4 +253,11 @@ def _compile_both(
         then = jax.jit(lambda linearised, part: residuals.equations(linearised, exact), compiler_options=FORWARD)
         equations = then.lower(linearised, example).compile()
         rollout = compiling.result()
-    return lambda vector, part: equations(rollout(vector, part), part)
+
+    @cache
+    def compile_states() -> Callable[[Array, Any], Local]:
+        local = jax.jit(residuals.local, compiler_options=FORWARD).lower(linearised).compile()
+        return lambda vector, part: local(rollout(vector, part))
+
+    cheaper = residuals.loss.refine and residuals.rollout.keeps_slopes
+    return lambda vector, part: equations(rollout(vector, part), part), compile_states if cheaper else None

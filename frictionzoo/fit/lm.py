@@ -15,6 +15,7 @@ from frictionzoo.fit.space import Space
 MOST_TRIES = 10_000  # the Hessian of every try is kept; ten tries are usual
 MOST_COORDINATES = 200  # the Jacobian has a column per coordinate; more coordinates are a network's weights
 _ALIKE = 1e-2  # relative difference up to which two losses count as equal
+_PATIENCE = 3  # tries after which a search ends if the loss has fallen by a negligible amount
 _SLACK = 30.0  # multiples of the floating-point precision below which a change of the loss is rounding
 
 
@@ -53,7 +54,8 @@ class LevenbergMarquardt(Fit):
     Args:
         iterations: Largest number of vectors to try.
         tolerance: Relative change of the loss or of the vector below which the fit has converged; never below a small
-            multiple of the floating-point precision.
+            multiple of the floating-point precision. With multiple shooting (`refine`), the fit also ends after three
+            tries that together change no parameter by more than a third of its standard error.
         start: The method whose result is the starting point, such as `InverseDynamics`; None for the initial values.
 
     Raises:
@@ -138,9 +140,13 @@ def _ask(objective: Objective, state: SolverState, tolerance: float) -> SolverSt
     """Return the state with the next vector of scipy's solver, or with the mark that it has ended.
 
     The solver cannot be paused. It runs again from the start on the recorded results, a fraction of a millisecond per
-    vector, and asks for the same vectors in the same order.
+    vector, and asks for the same vectors in the same order. Where initial states are estimated, the loss is known to
+    the accuracy of their search, and the solver's own criteria may never hold.
     """
     space, replayed, asked = objective.space, 0, state.asked
+    least = np.minimum.accumulate(np.where(np.isfinite(state.loss), state.loss, np.inf)[: int(state.tried)])
+    if len(least) > _PATIENCE and least[-1 - _PATIENCE] - least[-1] < objective.negligible * least[-1]:
+        return state._replace(ended=np.asarray(True))
     tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
 
     def replay(vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:

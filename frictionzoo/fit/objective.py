@@ -18,7 +18,7 @@ from frictionzoo.fit.equations import Residuals, compile_equations
 from frictionzoo.fit.loss import Loss, count_terms, is_moving, mean_squares, rigid_inertia_of
 from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.normal_equations import Evaluate, NormalEquations, Scores
-from frictionzoo.fit.shooting import SearchStart
+from frictionzoo.fit.shooting import DAMPING, SearchStart
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulation.bridge import as_torch_function, to_arrays, to_tensors
@@ -107,7 +107,15 @@ class Objective:
         objective, vector = self._whole(self.space.start)
         sparsity, states = objective._sparsity, np.asarray(self.data.begun, np.float64)
         slopes = np.zeros((len(sparsity.joints), self.data.weight.size, len(sparsity.states), len(sparsity.seeds)))
-        return SearchStart(states, vector, slopes, np.asarray(np.inf))
+        return SearchStart(states, vector, slopes, np.asarray(np.inf), np.full(slopes.shape[:2], DAMPING))
+
+    @property
+    def negligible(self) -> float:
+        """Relative decrease of the loss that is worth no further trial where initial states are estimated, else 0.
+
+        It is a decrease of chi-square by 0.1: every parameter is within a third of its standard error of the minimum.
+        """
+        return 0.1 / self._terms if self._loss.refine else 0.0
 
     @property
     def timestep(self) -> float:

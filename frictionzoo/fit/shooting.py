@@ -16,11 +16,11 @@ from frictionzoo.simulation.linear import solve_spd
 
 _MOST_LOOKS = 6  # trial states; few, because rollouts are nearly linear in them except where a joint starts or stops
 _ALONE = 1e-12  # predicted gain of the next step, as a share of the sum of squares, that ends a search outside a fit
-_FIRST, _LATER, _APART = 1e-2, 1e-4, 0.1
+_SETTLED, _APART = 1e-4, 0.1
 """Shares that end a search within a fit, which subtracts the predicted gain of the next step from the sum of squares
-and may therefore stop early: the first of the sum at the fit's first vector; at later vectors the second of the sum or,
-if larger, the third of the change of the sum between two vectors."""
-_DAMPING, _LEAST_DAMPING = 1e-2, 1e-2  # of Levenberg-Marquardt, initial and at least after a failed step
+and may therefore stop early: the first of the sum or, if larger, the second of its change between two vectors."""
+DAMPING, MOST_DAMPING = 1e-2, 10.0
+"""Damping of Levenberg-Marquardt at first, and at least after a failed step; at most where a search begins."""
 _SHORTEST = 0.03
 """Least time constant of an initial velocity, in sample intervals, that its curvature is increased by. Where a joint
 sticks or velocity decays within a sample, velocity and position are indistinguishable, and without it a step would be
@@ -64,12 +64,14 @@ class SearchStart(NamedTuple):
         vector: That vector, of shape (coordinates,).
         slopes: Derivative of the states with respect to each tangent, (branches, segments, state, tangents).
         square: The sum of squares there; infinite where unknown.
+        damping: Damping of each segment, by branch: large where the motion has a corner, which is there again.
     """
 
     states: Any
     vector: Any
     slopes: Any
     square: Any
+    damping: Any
 
 
 class StateSearch(NamedTuple):
@@ -97,10 +99,14 @@ class StateSearch(NamedTuple):
 
     @classmethod
     def begin(
-        cls, begun: Float[Array, "branches segments state"], unknown: Local, other: Any = jnp.nan
+        cls,
+        begun: Float[Array, "branches segments state"],
+        unknown: Local,
+        other: Any = jnp.nan,
+        damping: Any = DAMPING,
     ) -> "StateSearch":
         """Return a search that begins at these states; `unknown` is a `Local` filled with infinity."""
-        damping, no = jnp.full(begun.shape[:2], _DAMPING, begun.dtype), jnp.asarray(False)
+        damping, no = jnp.full(begun.shape[:2], damping, begun.dtype), jnp.asarray(False)
         other, gain = (jnp.asarray(value, begun.dtype) for value in (other, 0.0))
         return cls(begun, begun, unknown, damping, jnp.asarray(0), other, gain, no, no)
 
@@ -189,7 +195,7 @@ class Shooting(NamedTuple):
             return jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - 2)), new, old)
 
         state, local = choose(search.trial, search.state), jax.tree.map(choose, tried, search.local)
-        damping = jnp.where(better, 0.1 * search.damping, jnp.maximum(10 * search.damping, _LEAST_DAMPING))
+        damping = jnp.where(better, 0.1 * search.damping, jnp.maximum(10 * search.damping, DAMPING))
         diagonal, coupling, gradient = self._join(local, data)
         unused = self._unused(data.weight.ravel())
         identity = jnp.eye(diagonal.shape[-1])
@@ -197,11 +203,12 @@ class Shooting(NamedTuple):
         step = self._solve(damped, coupling, gradient[..., None])[..., 0]
         gain, looks = jnp.sum(step * gradient) + jnp.sum(tried.square - local.square), search.looks + 1
         total, other = jnp.sum(local.square), search.other
-        later_threshold = jnp.maximum(_LATER * total, _APART * jnp.abs(total - gain - other))
-        threshold = jnp.where(jnp.isfinite(other), later_threshold, jnp.where(jnp.isnan(other), _ALONE, _FIRST) * total)
+        change = jnp.where(jnp.isfinite(other), jnp.abs(total - gain - other), 0.0)
+        threshold = jnp.where(jnp.isnan(other), _ALONE * total, jnp.maximum(_SETTLED * total, _APART * change))
         settled = gain <= threshold
-        # The last step is not tried. After a failed trial, such as at a joint that sticks, it is not trusted either.
-        step = jnp.where((settled & (damping >= _DAMPING))[..., None], 0.0, step)
+        # The last step is not tried. After failed trials, as at corners of the motion, it is not trusted either.
+        step = jnp.where((settled & (damping >= DAMPING))[..., None], 0.0, step)
+        gain = jnp.sum(step * gradient) + jnp.sum(tried.square - local.square)
         ended = settled | (looks >= _MOST_LOOKS) | ((looks == 1) & ~jnp.all(jnp.isfinite(tried.square)))
         return StateSearch(state - step, state, local, damping, looks, other, gain, settled, ended)
 
@@ -306,9 +313,12 @@ def follow(states: Float[Array, "blocks segments state"]) -> Float[Array, "block
 def join_equations(parts: Sequence[Equations]) -> Equations:
     """Join the equations of all blocks, in numpy."""
     loss, hessian = (sum(getattr(part, name) for part in parts) for name in ("loss", "hessian"))
-    by_segment = [part._replace(loss=(), hessian=()) for part in parts]
-    joined = jax.tree.map(lambda *own: np.concatenate(own, axis=1), *by_segment)
-    return joined._replace(loss=loss, hessian=hessian)
+    return join_segments([part._replace(loss=(), hessian=()) for part in parts])._replace(loss=loss, hessian=hessian)
+
+
+def join_segments(parts: Sequence[Any]) -> Any:
+    """Join arrays of shape (branches, segments, ...) of all blocks, in numpy."""
+    return jax.tree.map(lambda *own: np.concatenate(own, axis=1), *parts)
 
 
 def _sum_by(chain: Array, squares: Float[Array, "branches segments"]) -> Float[Array, "branches segments"]:
