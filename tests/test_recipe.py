@@ -12,6 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 
 import frictionzoo as fz
+from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config, compose_settings
 from frictionzoo.core.described import describe, remake
@@ -22,7 +23,7 @@ from frictionzoo.core.segments import cut_segments
 from frictionzoo.data.signals import find_noise
 from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
-from frictionzoo.identification.choices import OPTIONAL, imply, option_of
+from frictionzoo.identification.choices import OPTIONAL, imply, option_of, settle_gain
 from frictionzoo.identification.noise import Misfit, Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
 from frictionzoo.identification.recipe import Parts, _divide_interval, leave_open
@@ -139,6 +140,27 @@ def test_a_gain_that_only_a_file_states_is_judged_by_the_recordings(
         found = dict(zip(judged.start.labels, judged.start.vector, strict=True))["bench.kp"]
         assert np.exp(found) == pytest.approx(GAIN, rel=2e-3)
     assert not told.bench.params["kp"].is_identified
+
+
+@pytest.mark.parametrize(
+    ("options", "identify"),
+    [
+        ("", "auto"),
+        ("recipe=given", False),
+        ("bench.actuator.params.kp.init=30", False),
+        ("bench.actuator.params.kp.identify=false", False),
+        ("bench.actuator.params.kp.identify=true", True),
+    ],
+)
+def test_a_gain_is_judged_unless_someone_has_decided(options: str, identify: Any, tmp_path: Path) -> None:
+    text = (resources.files("frictionzoo.bench") / "assets" / "knee_rod.xml").read_text()
+    servo = '<actuator><position joint="knee" kp="20" kv="1"/></actuator></mujoco>'
+    (tmp_path / "servo.xml").write_text(text.replace("</mujoco>", servo))
+    settings = compose_settings(
+        {}, "recipe=auto", "bench=robot", f"bench.mjcf={tmp_path / 'servo.xml'}", *options.split()
+    )
+    settled = settle_gain(settings, build(settings["bench"], Bench))
+    assert settled["bench"]["actuator"]["params"]["kp"]["identify"] == identify
 
 
 def test_joints_with_larger_errors_have_no_longer_tails() -> None:

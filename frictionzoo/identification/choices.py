@@ -44,7 +44,7 @@ Otherwise each is 0, or the file's value if it is a gain.
 """
 RIVALS = "torque_offset", "position_offset"
 """Two optional parameters that shift a balance with gravity alike: at most one of them is identified."""
-GAIN = "kp"  # open if only a robot's file states it
+GAIN = "kp"
 _GAIN_BOUNDS = {"low": 1e-3, "high": 1e5, "scale": "log"}  # as in conf/bench/robot.yaml
 
 
@@ -90,16 +90,19 @@ def option_of(name: str) -> str:
     return f"bench.actuator.params.{name}" if name == GAIN else f"bench.params.{name}"
 
 
-def open_gain(settings: Mapping[str, Any], bench: Bench) -> Mapping[str, Any]:
-    """Leave open whether position gains are identified, if `recipe` is `auto` and only a robot's file states them."""
-    gain = bench.actuator.params.get(GAIN)
-    if settings["recipe"] != AUTO or gain is None or gain.init is not None or gain.is_identified:
+def settle_gain(settings: Mapping[str, Any], bench: Bench) -> Mapping[str, Any]:
+    """Decide whether position gains remain open, if nobody has stated whether they are identified.
+
+    They do if `recipe` is `auto` and only a robot's file states them; otherwise they are not identified.
+    """
+    gain, section = bench.actuator.params.get(GAIN), settings["bench"].get("actuator")
+    if gain is None or (section is not None and get(section, f"params.{GAIN}.identify") != AUTO):
         return settings
-    if not (bench.initial_values()[GAIN] > 0).all():  # servos of velocity, and joints without an actuator
-        return settings
-    section = settings["bench"].get("actuator") or describe(bench.actuator)
+    is_positive = bool((bench.initial_values()[GAIN] > 0).all())  # not of servos of velocity and joints without one
+    is_judged = settings["recipe"] == AUTO and gain.init is None and is_positive
+    section = section or describe(bench.actuator)
     bounds = {} if gain.scale == "log" else _GAIN_BOUNDS
-    gains = {**section["params"], GAIN: {**section["params"][GAIN], **bounds, "identify": AUTO}}
+    gains = {**section["params"], GAIN: {**section["params"][GAIN], **bounds, "identify": AUTO if is_judged else False}}
     return {**settings, "bench": {**settings["bench"], "actuator": {**section, "params": gains}}}
 
 

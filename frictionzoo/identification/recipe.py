@@ -34,7 +34,7 @@ from frictionzoo.data.pairing import describe_columns
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit
-from frictionzoo.identification.choices import GAIN, OPTIONAL, change_bench, fit_lengths, open_gain, put, widen_bounds
+from frictionzoo.identification.choices import GAIN, OPTIONAL, change_bench, fit_lengths, put, settle_gain, widen_bounds
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.identification.stages import Stages
 from frictionzoo.models import FrictionModel
@@ -133,7 +133,7 @@ class Parts:
         train, test = (tuple(map(observing.accept, logs)) for logs in (dataset.train, dataset.test))
         doubts = check_up(Dataset(dataset.name, train, test), observing, settings["checkup"])
         settings, bench, widened = widen_bounds(settings, bench, train, model)
-        settings = open_gain(settings, bench)
+        settings = settle_gain(settings, bench)
         parts = cls(settings, bench, dataset, model, fit, doubts, (*shortened, *widened))
         if settings["recipe"] == AUTO:
             with computing("float64", settings["device"], settings["compilation_cache"]):
