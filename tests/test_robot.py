@@ -69,8 +69,8 @@ def test_bristles_of_dc_motors_are_where_laws_of_bristles_begin(dog: Callable[..
 def test_where_a_fit_begins_elsewhere_than_the_file_a_line_says_so(dog: Callable[..., fz.Robot]) -> None:
     without = {"armature": {"low": 0.025, "high": 1.0}}
     robot = dog(params=without)
-    said = [note for note in robot.notes if note.startswith("armature of joint left_hip_joint begins at 0.025")]
-    assert len(said) == 1 and "the file has 0.02" in said[0]
+    said = [note for note in robot.notes if note.startswith("armature of left_hip_joint, ")]
+    assert len(said) == 1 and "begins at 0.025" in said[0] and "the file has 0.02:" in said[0]
     assert not any("begins at" in note for note in dog().notes)
     late = dog(lambda name: position(name).replace("/>", ' delay="0.004" nsample="3"/>'))
     assert late.initial_values()["delay"].tolist() == [0.004] * 4 and "delay" not in dog().params
@@ -87,7 +87,7 @@ def test_an_armature_of_zero_stays_where_it_is_known(tmp_path: Path) -> None:
     assert fz.Robot(str(path), params={"armature": {"identify": False}}).initial_values()["armature"] == [0]
     begun = fz.Robot(str(path))
     assert begun.initial_values()["armature"] == [0.01]
-    assert any(note.startswith("armature of joint j begins at 0.01, where the file has 0") for note in begun.notes)
+    assert any(note.startswith("armature of j begins at 0.01, where the file has 0") for note in begun.notes)
 
 
 def test_a_missing_value_of_the_file_is_asked_for(dog: Callable[..., fz.Robot]) -> None:

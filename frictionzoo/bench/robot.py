@@ -185,10 +185,14 @@ class Robot(Bench):
     def _say_begun(self, param: Param) -> None:
         initial, in_file = param.each("init", self.nv), self._known[param.name]
         changed = param.each("identify", self.nv) & ~np.isclose(initial, in_file, rtol=1e-9, atol=0.0)
+        moves: dict[str, list[str]] = {}
         for index in np.flatnonzero(changed):
+            move = f"at {initial[index]:.4g}, where the file has {in_file[index]:.4g}"
+            moves.setdefault(move, []).append(self.joints[index])
+        for move, joints in moves.items():
             self._said.append(
-                f"{param.name} of joint {self.joints[index]} begins at {initial[index]:.4g}, where the file has "
-                f"{in_file[index]:.4g}: a fit begins within its bounds, and where joints share a value, at their mean"
+                f"{param.name} of {', '.join(joints)} begins {move}: a fit begins within its bounds, and where joints "
+                "share a value, at their mean"
             )
 
     def _begin(self, param: Param, values: Float[np.ndarray, "nv"]) -> Param:

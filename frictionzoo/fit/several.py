@@ -137,7 +137,7 @@ class Searches:
         delays = [i for i, label in enumerate(self._space.labels) if label == "bench.delay" and self._kept[i]]
         if recordings is not None and delays:
             found = self._shift(found, delays[0], recordings.logs[0].timestep)
-        _log.info("multi-start: %s gave the best result", found.name)
+        _log.debug("multi-start: %s gave the best result", found.name)
         return found
 
     def _moving(self, vector: Float[np.ndarray, "coordinates"]) -> Part:

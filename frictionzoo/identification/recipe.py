@@ -34,7 +34,17 @@ from frictionzoo.data.pairing import describe_columns
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.fit import Fit
-from frictionzoo.identification.choices import GAIN, OPTIONAL, change_bench, fit_lengths, put, settle_gain, widen_bounds
+from frictionzoo.identification.choices import (
+    GAIN,
+    OPTIONAL,
+    change_bench,
+    fit_lengths,
+    get,
+    option_of,
+    put,
+    settle_gain,
+    widen_bounds,
+)
 from frictionzoo.identification.pilot import Pilot, PilotResult
 from frictionzoo.identification.stages import Stages
 from frictionzoo.models import FrictionModel
@@ -151,6 +161,12 @@ class Parts:
     def _choose(self) -> "Parts":
         stages = self._stages
         stages.run()
+        names = [name for name in OPTIONAL if get(stages.settings, f"{option_of(name)}.identify") is True]
+        _log.info(
+            "automatic settings: %d options%s; the report gives the reasons, hydra.verbose=frictionzoo prints them",
+            len(stages.choices),
+            f", {' and '.join(names)} identified" if names else "",
+        )
         return replace(
             self,
             settings=stages.settings,

@@ -119,7 +119,7 @@ class Trials:
         if self._is_open(option):
             put(self.settings, option, value)
             self.choices.append(AutomaticSetting(option, value, reason))
-            _log.info("%s", self.choices[-1])
+            _log.debug("%s", self.choices[-1])
 
     def _pilot(self, most_steps: float = _FIRST_STEPS, **given: Any) -> Pilot:
         """Return a pilot with all open bench parameters free; `given` overrides options of segments and loss."""
