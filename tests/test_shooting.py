@@ -13,12 +13,13 @@ from frictionzoo.bench import Bench, Force
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_segments
-from frictionzoo.fit import LevenbergMarquardt, shooting
+from frictionzoo.fit import LevenbergMarquardt, lm, shooting
 from frictionzoo.fit import blocks as blocks_module
+from frictionzoo.fit.blocks import each_part, measured_states
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loss import Loss
 from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.shooting import Mixed, solve_chain
+from frictionzoo.fit.shooting import Mixed, follow, solve_chain
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -141,6 +142,29 @@ def test_equations_are_the_dense_ones(bench: Bench, monkeypatch: pytest.MonkeyPa
     scale = np.sqrt(np.diag(dense.hessian))
     np.testing.assert_allclose(ours.gradient / scale, dense.gradient / scale, atol=1e-6 * np.sqrt(dense.loss))
     np.testing.assert_allclose(ours.hessian, dense.hessian, atol=1e-7 * np.outer(scale, scale).max())
+
+
+def test_trials_of_states_alone_have_the_same_derivatives(bench: Bench) -> None:
+    objective = shoot(bench, "mujoco_default", 10, noisy(swing(0.1), 1e-3, 0.03), continuity=CONTINUITY).objective
+    residuals, vector = objective._residuals, objective.space.start
+    assert residuals.rollout.keeps_slopes  # else the first program has the derivatives already
+    states = measured_states(objective.data.qpos, objective.data.qvel)
+    block, own, following = next(each_part(objective.data, (states, follow(states))))
+    linearised = residuals.linearise(vector, block, own, following)
+    alone, whole = residuals.local(linearised), residuals.equations(linearised, exact=False).local
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-12), alone, whole)
+
+
+def test_a_fit_ends_when_three_tries_bring_nothing(bench: Bench) -> None:
+    objective = shoot(bench, "mujoco_default", 10, swing(0.1)).objective
+    fit = LevenbergMarquardt(9)
+    vector, begun = fit.init(objective)
+    equations = objective.compile_normal_equations()(vector)
+    tried = begun._replace(tried=np.asarray(4), gradient=np.tile(equations.gradient, (9, 1)))
+    tried = tried._replace(hessian=np.tile(equations.hessian, (9, 1, 1)))
+    for change, ends in ((0.1 * objective.negligible, True), (10 * objective.negligible, False)):
+        loss = equations.loss * (1 - change * np.arange(9))
+        assert bool(lm._ask(objective, tried._replace(loss=loss), 1e-8).ended) == ends
 
 
 @pytest.mark.slow
