@@ -133,8 +133,12 @@ def test_a_search_may_begin_at_a_bound_beside_which_rollouts_diverge() -> None:
     assert (found, loss) == (0.0, 1.0)
 
 
-@pytest.mark.parametrize(("stiffness", "patience", "vectors"), [(100, None, 30), (100, 8, 9), (10, 8, 30)])
-def test_a_search_with_rivals_ends_when_it_is_slow(stiffness: float, patience: int | None, vectors: int) -> None:
+@pytest.mark.parametrize(
+    ("stiffness", "patience", "vectors"), [(100, [], 30), (100, [(8, 0.2)], 9), (10, [(8, 0.2)], 30)]
+)
+def test_a_search_with_rivals_ends_when_it_is_slow(
+    stiffness: float, patience: list[tuple[int, float]], vectors: int
+) -> None:
     """A step is the distance to the minimum over `stiffness`."""
     tried = []
 

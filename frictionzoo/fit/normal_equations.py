@@ -10,7 +10,6 @@ from jaxtyping import Float
 from frictionzoo.fit.space import Box
 
 NOTHING = 1e-24  # curvature, as a share of the largest, below which it is rounding
-_SLOW = 0.8  # share of the loss, after `patience` vectors, above which a search has become slow
 _STIFFEST = 1e6  # damping above which only rounding could lower the loss
 
 
@@ -107,7 +106,7 @@ def descend(
     damping: Damping = DAMPING,
     lengths: Sequence[float] = (1.0,),
     enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
-    patience: int | None = None,
+    patience: Sequence[tuple[int, float]] = (),
 ) -> tuple[Float[np.ndarray, "coordinates"], float, bool]:
     """Minimise a sum of squares by Levenberg-Marquardt steps within bounds.
 
@@ -115,8 +114,8 @@ def descend(
     the way to a bound, and shorten the step of all other coordinates with it.
 
     The search ends after `tries` vectors; when the predicted decrease is below the share `tolerance` of the objective;
-    when `enough` holds for the next vector, before that is tried; or when the loss falls by less than a fifth within
-    `patience` vectors, None for any progress. `lengths` are the shares of a step to try until one succeeds.
+    when `enough` holds for the next vector, before that is tried; or when the loss falls by less than a share within a
+    number of vectors, which `patience` lists. `lengths` are the shares of a step to try until one succeeds.
 
     Returns:
         The best vector; its loss, infinite where the objective is not finite at the start; whether it has converged.
@@ -127,7 +126,7 @@ def descend(
         return best, np.inf, False
     for _ in range(tries - 1):
         losses.append(equations.loss)
-        if patience is not None and len(losses) > patience and equations.loss > _SLOW * losses[-1 - patience]:
+        if any(len(losses) > n and equations.loss > (1 - share) * losses[-1 - n] for n, share in patience):
             break
         stiff = equations.hessian * (1 + stiffness * np.eye(len(best)))
         step = bounded_step(equations.gradient, stiff, box.low - best, box.high - best)

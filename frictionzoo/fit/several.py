@@ -27,7 +27,7 @@ _NEAR = 0.2  # difference in sample intervals below which two delays lead to the
 _FAR = 2.0  # largest change of any coordinate that follows a shifted delay
 _ROUNDS = 5  # rounds of shifts, each from the best result so far
 _FLAT = 1e-8  # curvature of a combination, as a share of the largest, below which it does not follow the delay
-_PATIENCE = 8  # vectors without much progress after which a search ends if there are other starting points
+_RIVALS = (8, 0.2)  # vectors within which the loss must fall by this share if there are other starting points
 _LOWER = 1e-6  # share of the loss by which another minimum must be lower
 
 
@@ -108,10 +108,16 @@ class Searches:
 
     Args:
         kept: Which coordinates move; None for all.
+        patience: See `descend`.
     """
 
     def __init__(
-        self, objective: Objective, tries: int, tolerance: float, kept: Bool[np.ndarray, "coordinates"] | None = None
+        self,
+        objective: Objective,
+        tries: int,
+        tolerance: float,
+        kept: Bool[np.ndarray, "coordinates"] | None = None,
+        patience: Sequence[tuple[int, float]] = (),
     ) -> None:
         self._objective, self._space = objective.beginning(objective.begun), objective.space
         self._tries, self._tolerance = tries, tolerance
@@ -120,7 +126,8 @@ class Searches:
         self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
         # A model with several minima is fitted from several starting points: a slow search has rivals.
         recordings = objective.recordings
-        self._patience = _PATIENCE if recordings is not None and recordings.model.valleys else None
+        has_rivals = recordings is not None and recordings.model.valleys
+        self._patience = (*patience, _RIVALS) if has_rivals else patience
 
     def go_on(self, vector: Float[np.ndarray, "coordinates"]) -> End:
         """Search from this vector; coordinates that do not move keep its values."""

@@ -31,6 +31,9 @@ _COLLINEAR = 1e-8
 """`COLLINEAR` of a pilot. A delay is nearly collinear with armature and damping, and a parameter without an interval
 counts as doubtful even if a long log determines it."""
 _MOST_TRIES, _TOLERANCE = 40, 1e-5
+_PATIENCE = (3, 1e-3)
+"""Vectors within which the loss must fall by this share. Where a model lacks something, a fit can follow corners of the
+motion for dozens of vectors; the final fit goes on."""
 _ROLLOUTS = 64  # number of rollouts from which errors are measured
 _DISTURBED = 1e-3  # disturbance of initial velocities, as a share of a joint's RMS speed
 Coordinates = Float[np.ndarray, "coordinates"]
@@ -168,7 +171,7 @@ class Pilot:
         """
         moving = self._moving(without)
         objective = self.objective.beginning(begun.states_of(self.segments)).among(kept)
-        searches = Searches(objective, _MOST_TRIES, _TOLERANCE, moving)
+        searches = Searches(objective, _MOST_TRIES, _TOLERANCE, moving, [_PATIENCE])
         end = searches.go_on(np.where(moving, self.whole(begun), self.absent))
         if thorough and self._drive.model.valleys:
             end = min(end, searches.look(), key=lambda end: end.loss)
