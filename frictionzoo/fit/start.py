@@ -40,9 +40,9 @@ def begin_where(start: Fit, objective: Objective) -> Objective:
 def fit_reference(objective: Objective, folder: Path | None = None) -> Values:
     """Minimise the objective of a bench without friction; return physical values by owner and name.
 
-    The fit starts at the initial values and ends at a relative change of 1e-6. Where it estimates initial states, those at
-    corners of the motion make the last per cent slow, and it ends at 1e-3. `folder` caches the minimum for other
-    jobs with the same objective.
+    The fit starts at the initial values and ends at a relative change of 1e-6, or of 1e-3 where it estimates initial
+    states: those at corners of the motion make the last per cent slow. `folder` caches the minimum for other jobs with
+    the same objective.
     """
 
     def fit() -> dict[str, np.ndarray]:
