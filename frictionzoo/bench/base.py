@@ -24,6 +24,7 @@ from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.core.params import AUTO, LARGEST, Param, group_joints, read_params, read_tie, refuse_negative
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
+from frictionzoo.core.telling import escape_controls
 
 PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position", "torque_offset": "torque"}
 """Dimension of each parameter of a bench."""
@@ -219,6 +220,12 @@ class Bench(Described):
         """Return the bench with another gravity [m/s^2]."""
         template = self._template.with_options(read_options(gravity=gravity))
         return self._recorded(gravity=list(gravity))._changed(_template=template)
+
+    def __repr__(self) -> str:
+        values, kind = self.initial_values(), type(self.actuator).__name__
+        lines = (param.line(values[name], self.joint_type) for name, param in self.params.items())
+        head = f"{type(self).__name__} of {self.source}, {', '.join(self.joints)}, {kind}"
+        return "\n  ".join([escape_controls(head), *lines])
 
     def _recorded(self, **arguments: Any) -> "Bench":
         """Return the bench with other arguments in its record, and as attributes."""

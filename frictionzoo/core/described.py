@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import reprlib
 from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any, TypeVar
@@ -25,6 +26,11 @@ class Described:
         instance = object.__new__(cls)
         object.__setattr__(instance, "_given", (args, kwargs))  # a dataclass may be frozen
         return instance
+
+    def __repr__(self) -> str:
+        args, kwargs = getattr(self, "_given")  # noqa: B009 - set in __new__
+        named = (f"{name}={reprlib.repr(value)}" for name, value in kwargs.items())
+        return f"{type(self).__name__}({', '.join([*map(reprlib.repr, args), *named])})"
 
 
 def describe(part: Any) -> Any:

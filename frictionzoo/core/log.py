@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.state import Signals
+from frictionzoo.core.telling import escape_controls
 
 ABSURD = 1e9  # any signal above this in SI units is implausible
 JITTER = 0.05  # largest deviation of a uniform sample interval from the median, as a share of the median
@@ -48,7 +49,7 @@ class Columns(NamedTuple):
     by: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Log:
     """One recording of a drive in SI units.
 
@@ -94,6 +95,13 @@ class Log:
     metadata: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, Columns] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        seconds, joints = self.samples * self.timestep, self.qpos.shape[1]
+        extras = f", with {', '.join(self.extras)}" if self.extras else ""
+        joint_count = f" of {joints} joints" if joints > 1 else ""
+        size = f"{seconds:.4g} s, {self.samples} samples{joint_count} every {self.timestep:.4g} s"
+        return escape_controls(f"{self.name}: {size}{extras}")
 
     def __post_init__(self) -> None:
         samples = len(self.time)

@@ -1,7 +1,7 @@
 """Parameters: value, unit, bounds, and the solver's coordinate."""
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -221,6 +221,11 @@ class Param:
         """Return its unit on a `hinge` or a `slide`."""
         return UNITS[joint_type][self.dimension]
 
+    def line(self, values: Iterable[float], joint_type: str) -> str:
+        """Return values of its joints, and the bounds if a fit may change it, as a line of text."""
+        bounds = f", identified within {_text(self.low)} to {_text(self.high)}" if self.is_identified else ""
+        return f"{self.name}: {', '.join(f'{value:.4g}' for value in values)} {self.unit(joint_type)}{bounds}"
+
 
 def fits(pattern: str, joint: str, option: str) -> bool:
     """Return whether a regular expression matches a joint's whole name; ConfigError for an invalid expression."""
@@ -253,6 +258,12 @@ def group_joints(option: str, tie: Tie, joints: Sequence[str]) -> list[str]:
 
 def _say(value: np.ndarray) -> str:
     return ", ".join(f"{number:g}" for number in np.atleast_1d(value))
+
+
+def _text(value: PerJoint) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{number:g} of {joint}" for joint, number in value.items())
+    return _say(np.asarray(value))
 
 
 def _truth(value: Any) -> bool:

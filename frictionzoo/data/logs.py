@@ -71,7 +71,7 @@ class Logs:
         return sum(map(len, self.cleaned))
 
     def __repr__(self) -> str:
-        return "\n".join(line for log in self for line in (_describe(log), *(f"  {repair}" for repair in log.repairs)))
+        return "\n".join(line for log in self for line in (repr(log), *(f"  {repair}" for repair in log.repairs)))
 
     def dividing(self, test: float | Split | None) -> "Logs":
         """Return the recordings with another division: a test share at the end of each, or a `Split`; None: no change.
@@ -101,10 +101,3 @@ class Logs:
             return Dataset(self.name, *map(tuple, self.split.divide(self.recordings, self.cleaned)))
         parts = self.cleaned[: -self.held_out], self.cleaned[-self.held_out :]
         return Dataset(self.name, *(tuple(log for pieces in part for log in pieces) for part in parts))
-
-
-def _describe(log: Log) -> str:
-    seconds, joints = log.samples * log.timestep, log.qpos.shape[1]
-    extras = f", with {', '.join(log.extras)}" if log.extras else ""
-    joint_count = f" of {joints} joints" if joints > 1 else ""
-    return f"{log.name}: {seconds:.4g} s, {log.samples} samples{joint_count} every {log.timestep:.4g} s{extras}"

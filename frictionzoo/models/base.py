@@ -89,6 +89,13 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         for name, param in self.params.items():
             self.register_parameter(name, torch.nn.Parameter(_initial(param, nv), requires_grad=param.is_identified))
 
+    def __repr__(self) -> str:
+        weights = sum(weights.numel() for name, weights in self.named_parameters() if name not in self.params)
+        head = f"{self.name}, {self.nv} joint{'s' * (self.nv > 1)}"
+        head += f", {weights} weights" * (weights > 0) + ", in units of a hinge" * bool(self.params)
+        lines = (param.line(self.get_parameter(name).tolist(), "hinge") for name, param in self.params.items())
+        return "\n  ".join([head, *lines])
+
     @property
     def constrained(self) -> tuple[bool, ...]:
         """`constraint` of each joint; see the class."""
