@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from frictionzoo.api.design import design_recording
     from frictionzoo.api.drift import drift
     from frictionzoo.api.identified import Identified
-    from frictionzoo.api.library import compare, identify, law, load, read
+    from frictionzoo.api.library import compare, free, identify, law, list_models, load, read, tied
     from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
     from frictionzoo.bench.actuators.force import Force
     from frictionzoo.bench.actuators.joint_pd import JointPD
@@ -53,20 +53,24 @@ __all__ = [
     "compare",
     "design_recording",
     "drift",
+    "free",
     "identify",
     "law",
+    "list_models",
     "load",
     "read",
     "register_model",
     "rollout",
     "spread",
+    "tied",
 ]
 __version__ = "0.1.0"
 
+_LIBRARY = "frictionzoo.api.library"
 _HOMES = {
     **dict.fromkeys(("Bench", "Robot", "DcMotorPD", "Force", "JointPD"), "frictionzoo.bench"),
     **dict.fromkeys(("PositionPD", "RecordedPD", "VoltageServo"), "frictionzoo.bench"),
-    **dict.fromkeys(("compare", "identify", "law", "load", "read"), "frictionzoo.api.library"),
+    **dict.fromkeys(("compare", "free", "identify", "law", "list_models", "load", "read", "tied"), _LIBRARY),
     **dict.fromkeys(("DriveState", "FrictionTerms"), "frictionzoo.core.state"),
     **dict.fromkeys(("FrictionModel", "register_model"), "frictionzoo.models"),
     "Cleaning": "frictionzoo.data.clean",
@@ -92,4 +96,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, "__version__"]

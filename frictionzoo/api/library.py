@@ -31,7 +31,7 @@ from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.recipe import leave_open, refuse_unknown
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.by_name import law_section
-from frictionzoo.models.registry import get_model
+from frictionzoo.models.registry import REGISTRY, get_model
 from frictionzoo.result.comparison.runs import Failure
 from frictionzoo.simulation.context import refuse_late_fork
 
@@ -281,6 +281,39 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
         ConfigError: There is no such option, or its value is invalid.
     """
     return _make_law(name, nv, {"scale": scale} if scale else {}, options)
+
+
+def list_models() -> list[str]:
+    """Return the names of all friction models, those of installed and named plug-in files among them."""
+    return sorted({*list_choices("model"), *REGISTRY.names()})
+
+
+def free(init: Any, low: Any, high: Any, scale: str | float | None = None) -> dict[str, Any]:
+    """Return a parameter that a fit identifies, for an argument of a bench, an actuator or a friction model.
+
+    Args:
+        init: Initial value, in SI units; a list has one value per joint, a mapping one per pattern of joint names.
+        low: Lower bound, likewise.
+        high: Upper bound, likewise.
+        scale: `log`: steps of the fit are relative to the value; a number: a typical change. By default `log` if the
+            lower bound is above 0, otherwise the largest bound.
+    """
+    low_bound, high_bound = (np.atleast_1d(list(x.values()) if isinstance(x, Mapping) else x) for x in (low, high))
+    if scale is None:
+        scale = "log" if (low_bound > 0).all() else float(np.abs([low_bound.min(), high_bound.max()]).max())
+    return {"init": init, "low": low, "high": high, "scale": scale, "identify": True}
+
+
+def tied(init: Any, low: Any, high: Any, joints: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Return a parameter that a fit identifies with one value for several joints; see `free`.
+
+    Args:
+        init: Initial value, in SI units.
+        low: Lower bound.
+        high: Upper bound.
+        joints: Pattern of joint names by group, as in `{"hips": ".*_hip_joint"}`; None: all joints share the value.
+    """
+    return {**free(init, low, high), "tie": True if joints is None else dict(joints)}
 
 
 def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any]) -> FrictionModel:
