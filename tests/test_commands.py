@@ -143,7 +143,7 @@ def install_for_development(command: str, place: Place) -> None:
     """CI installs the same into an environment of its own, and runs its tools; the hooks are installed here."""
     create, activate, make, hooks = command.split(" && ")
     assert f"{create} && {activate}" in blocks_of(ROOT / "README.md")[0]
-    assert place.run(f"{make} --dry-run").strip() in CI.replace(" --quiet", "")
+    assert place.run(f"{make} --dry-run --no-print-directory").strip() in CI.replace(" --quiet", "")
     place.run(f"git init --quiet && {hooks}")
     assert (place.folder / ".git" / "hooks" / "pre-commit").exists()
 
