@@ -182,14 +182,16 @@ class Shooting(NamedTuple):
         return self.sparsity.states_together(state).reshape(data.begun.shape)
 
     def advance(self, search: StateSearch, tried: Local, data: Blocks) -> StateSearch:
-        """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial if its sum decreases.
+        """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial unless its sum grows.
 
         Compiled, without bounds and with a damping for each chain, so it is not a case of `descend`.
         """
         # The number of each segment's chain of linked segments.
         numbers = jnp.arange(data.weight.size)
         chain = numbers if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
-        better = _sum_by(chain, tried.square) < _sum_by(chain, search.local.square)
+        square, best = _sum_by(chain, tried.square), _sum_by(chain, search.local.square)
+        # Equal up to rounding, as in segments that only fill a block, is no failed trial.
+        better = jnp.isfinite(square) & (square <= (1 + _ALONE) * best)
 
         def choose(new: Array, old: Array) -> Array:
             return jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - 2)), new, old)
