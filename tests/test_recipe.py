@@ -25,7 +25,7 @@ from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.choices import OPTIONAL, imply, option_of, settle_gain
 from frictionzoo.identification.noise import Misfit, Noise, find_step
-from frictionzoo.identification.pilot import exact_enough
+from frictionzoo.identification.pilot import Pilot, PilotResult, exact_enough
 from frictionzoo.identification.recipe import Parts, _divide_interval, leave_open
 from frictionzoo.identification.trials import hold_back
 
@@ -286,3 +286,20 @@ def test_what_is_open_is_nothing_without_a_recipe(call: Callable, tiny: tuple[st
     for option in ("segments.length=auto", "bench.timestep=auto", "dtype=auto", "loss.robust=auto"):
         finished = call(*tiny, "recipe=given", option)
         assert finished.status == 2 and finished.err.startswith(f"frictionzoo: {option}"), finished.err
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_prediction_stays_within_bounds(pulled: list[Log]) -> None:
+    """The drive is pulled by 0.2 N m; a quarter of that is allowed."""
+    free = {
+        name: fz.free(0.0, low=-bound, high=bound)
+        for name, bound in (("position_offset", 1.0), ("torque_offset", 0.05))
+    }
+    bench = fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=GAIN, kd=1.0), params=free)
+    settings = compose_settings({}, "recipe=given")
+    pilot = Pilot(bench, fz.law("coulomb_smooth"), pulled, settings["segments"], settings["loss"], "specialised")
+    offset = pilot.fit(PilotResult.begun(pilot.space.labels, pilot.start), ["torque_offset"])
+    end = pilot.foresee(offset, "position_offset", "torque_offset")
+    torque = dict(zip(end.labels, end.vector * 1.0, strict=True))["bench.torque_offset"]
+    assert np.asarray(bench.params["torque_offset"].from_coordinate(torque, np)) == pytest.approx(0.05)
+    assert end.at_bound[end.labels.index("bench.torque_offset")]

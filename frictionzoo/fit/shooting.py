@@ -182,7 +182,7 @@ class Shooting(NamedTuple):
         return self.sparsity.states_together(state).reshape(data.begun.shape)
 
     def advance(self, search: StateSearch, tried: Local, data: Blocks) -> StateSearch:
-        """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial unless its sum grows.
+        """Take one Levenberg-Marquardt step; a chain of linked segments accepts the trial if its sum decreases.
 
         Compiled, without bounds and with a damping for each chain, so it is not a case of `descend`.
         """
@@ -190,14 +190,15 @@ class Shooting(NamedTuple):
         numbers = jnp.arange(data.weight.size)
         chain = numbers if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
         square, best = _sum_by(chain, tried.square), _sum_by(chain, search.local.square)
-        # Equal up to rounding, as in segments that only fill a block, is no failed trial.
-        better = jnp.isfinite(square) & (square <= (1 + _ALONE) * best)
+        # Equal up to rounding, as in segments that only fill a block, is not a failure that damping could mend.
+        better, failed = square < best, ~(square <= (1 + _ALONE) * best)
 
         def choose(new: Array, old: Array) -> Array:
             return jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - 2)), new, old)
 
         state, local = choose(search.trial, search.state), jax.tree.map(choose, tried, search.local)
-        damping = jnp.where(better, 0.1 * search.damping, jnp.maximum(10 * search.damping, DAMPING))
+        damping = jnp.where(failed, jnp.maximum(10 * search.damping, DAMPING), search.damping)
+        damping = jnp.where(better, 0.1 * damping, damping)
         diagonal, coupling, gradient = self._join(local, data)
         unused = self._unused(data.weight.ravel())
         identity = jnp.eye(diagonal.shape[-1])
@@ -208,8 +209,8 @@ class Shooting(NamedTuple):
         change = jnp.where(jnp.isfinite(other), jnp.abs(total - gain - other), 0.0)
         threshold = jnp.where(jnp.isnan(other), _ALONE * total, jnp.maximum(_SETTLED * total, _APART * change))
         settled = gain <= threshold
-        # The last step is not tried. After failed trials, as at corners of the motion, it is not trusted either.
-        step = jnp.where((settled & (damping >= DAMPING))[..., None], 0.0, step)
+        # The last step is not tried. After trials that brought nothing, as at corners of the motion, it is not trusted.
+        step = jnp.where((settled & (~better | (damping >= DAMPING)))[..., None], 0.0, step)
         gain = jnp.sum(step * gradient) + jnp.sum(tried.square - local.square)
         ended = settled | (looks >= _MOST_LOOKS) | ((looks == 1) & ~jnp.all(jnp.isfinite(tried.square)))
         return StateSearch(state - step, state, local, damping, looks, other, gain, settled, ended)

@@ -17,7 +17,7 @@ from frictionzoo.core.segments import Segments, cut_rollouts, cut_segments
 from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.blocks import measured_states
 from frictionzoo.fit.motion import Filtering, Recordings
-from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.normal_equations import DAMPING, NormalEquations, bounded_step
 from frictionzoo.fit.several import Searches
 from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
@@ -187,12 +187,11 @@ class Pilot:
         moving = self._moving({without, *(OPTIONAL.keys() - found.owners - {instead})})
         change = np.where(moving, 0.0, self.absent - vector)
         shifted = equations._replace(gradient=equations.gradient + equations.hessian @ change)
-        change[moving] = -_solve(shifted, np.flatnonzero(moving))
+        change[moving] = self._step_within(shifted, vector, np.flatnonzero(moving))
         delta = equations.hessian @ change
         loss = float(equations.loss + 2 * change @ equations.gradient + change @ delta)
         self._end = (equations._replace(gradient=equations.gradient + delta), scores + delta / len(scores))
-        with np.errstate(over="ignore"):  # a linear step of a logarithm may end at infinity, beyond all bounds
-            predicted = self._conclude(vector + change, loss, moving, found.states)
+        predicted = self._conclude(vector + change, loss, moving, found.states)
         self._end = equations, scores
         return predicted
 
@@ -243,8 +242,18 @@ class Pilot:
         free = (found.half < WIDEST) & ~found.at_bound  # False for NaN
         places = [self.space.labels.index(label) for label in np.array(found.labels)[free]]
         step = np.zeros(len(free))
-        step[free] = -_solve(equations, places)
+        step[free] = self._step_within(equations, self.whole(found), places)
         return step, equations.loss + float(step[free] @ equations.gradient[places])
+
+    def _step_within(self, equations: NormalEquations, vector: Coordinates, places: Any) -> Float[np.ndarray, "places"]:
+        """Return the step of these coordinates to the minimum within their bounds; raise FitError if not finite."""
+        if not equations.finite:
+            raise FitError("the loss is not finite at the end of the fit")
+        if not len(places):
+            return np.zeros(0)
+        hessian = equations.hessian[np.ix_(places, places)] * (1 + DAMPING.least * np.eye(len(places)))
+        low, high = (side[places] - vector[places] for side in self.space.box[1:])
+        return bounded_step(equations.gradient[places], hessian, low, high)
 
     @property
     def absent(self) -> Coordinates:
@@ -297,16 +306,6 @@ def exact_enough(space: Space, vector: Coordinates) -> Coordinates:
     """Return `PilotResult.enough`; a step of a logarithm is already relative to the value."""
     logarithms = [space.params[label.partition("/")[0]].scale == "log" for label in space.labels]
     return _EXACT * np.where(logarithms, 1.0, np.fmax(1.0, np.abs(vector)))
-
-
-def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
-    """Return H^-1 g for these coordinates, 0 for one without effect; raise FitError if not finite."""
-    if not equations.finite:
-        raise FitError("the loss is not finite at the end of the fit")
-    hessian, gradient = equations.hessian[np.ix_(free, free)], equations.gradient[free]
-    curvature = np.diag(hessian)
-    scale = np.sqrt(np.where(curvature > 0, curvature, 1.0))
-    return np.linalg.lstsq(hessian / np.outer(scale, scale), gradient / scale, rcond=1e-10)[0] / scale
 
 
 def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:
