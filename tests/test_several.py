@@ -134,11 +134,17 @@ def test_a_search_may_begin_at_a_bound_beside_which_rollouts_diverge() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stiffness", "patience", "vectors"), [(100, [], 30), (100, [(8, 0.2)], 9), (10, [(8, 0.2)], 30)]
+    ("stiffness", "limits", "vectors"),
+    [
+        (100, {}, 30),
+        (100, {"patience": [(8, 0.2)]}, 9),
+        (10, {"patience": [(8, 0.2)]}, 30),
+        (100, {"goal": 0.1}, 4),
+        (10, {"goal": 0.1}, 30),
+        (100, {"goal": 0.8}, 30),
+    ],
 )
-def test_a_search_with_rivals_ends_when_it_is_slow(
-    stiffness: float, patience: list[tuple[int, float]], vectors: int
-) -> None:
+def test_a_search_with_rivals_ends_when_it_is_slow(stiffness: float, limits: dict[str, Any], vectors: int) -> None:
     """A step is the distance to the minimum over `stiffness`."""
     tried = []
 
@@ -146,7 +152,7 @@ def test_a_search_with_rivals_ends_when_it_is_slow(
         tried.append(vector)
         return NormalEquations(float(vector @ vector), vector, stiffness * np.eye(1))
 
-    descend(evaluate, Box(np.ones(1), -np.ones(1), np.ones(1)), 30, 1e-9, patience=patience)
+    descend(evaluate, Box(np.ones(1), -np.ones(1), np.ones(1)), 30, 1e-9, **limits)
     assert len(tried) == vectors
 
 

@@ -11,6 +11,7 @@ from frictionzoo.fit.space import Box
 
 NOTHING = 1e-24  # curvature, as a share of the largest, below which it is rounding
 _STIFFEST = 1e6  # damping above which only rounding could lower the loss
+_PACE = 3  # number of vectors over which a search's pace is measured
 
 
 class NormalEquations(NamedTuple):
@@ -107,6 +108,7 @@ def descend(
     lengths: Sequence[float] = (1.0,),
     enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
     patience: Sequence[tuple[int, float]] = (),
+    goal: float = np.inf,
 ) -> tuple[Float[np.ndarray, "coordinates"], float, bool]:
     """Minimise a sum of squares by Levenberg-Marquardt steps within bounds.
 
@@ -114,8 +116,9 @@ def descend(
     the way to a bound, and shorten the step of all other coordinates with it.
 
     The search ends after `tries` vectors; when the predicted decrease is below the share `tolerance` of the objective;
-    when `enough` holds for the next vector, before that is tried; or when the loss falls by less than a share within a
-    number of vectors, which `patience` lists. `lengths` are the shares of a step to try until one succeeds.
+    when `enough` holds for the next vector, before that is tried; when the loss falls by less than a share within a
+    number of vectors, which `patience` lists; or when at the pace of the last vectors the remaining ones would not
+    bring it below `goal`. `lengths` are the shares of a step to try until one succeeds.
 
     Returns:
         The best vector; its loss, infinite where the objective is not finite at the start; whether it has converged.
@@ -128,6 +131,10 @@ def descend(
         losses.append(equations.loss)
         if any(len(losses) > n and equations.loss > (1 - share) * losses[-1 - n] for n, share in patience):
             break
+        if len(losses) > _PACE:
+            reachable = (tries - len(losses)) * (losses[-1 - _PACE] - equations.loss) / _PACE
+            if equations.loss - reachable > goal:
+                break
         stiff = equations.hessian * (1 + stiffness * np.eye(len(best)))
         step = bounded_step(equations.gradient, stiff, box.low - best, box.high - best)
         decrease = -float(2 * step @ equations.gradient + step @ equations.hessian @ step)

@@ -187,6 +187,7 @@ class Searches:
         vector: Float[np.ndarray, "coordinates"],
         most: int = MOST_TRIES,
         enough: Callable[[np.ndarray], bool] = lambda vector: False,
+        goal: float = np.inf,
     ) -> End:
         _, low, high = part.box
         coordinates, loss, _ = descend(
@@ -196,6 +197,7 @@ class Searches:
             self._tolerance,
             enough=lambda coordinates: enough(part.whole(coordinates)),
             patience=self._patience,
+            goal=goal,
         )
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
         return End(name, part.whole(coordinates), loss)
@@ -217,7 +219,7 @@ class Searches:
                 change = np.clip(delay + shift * unit, low, high) - delay
                 if not leads_back(shifted := best.vector + np.clip(change * direction, -_FAR, _FAR)):
                     name = f"a delay {change / unit:+.2g} sample intervals from the previous best"
-                    ends.append(self._descend(part, name, shifted, _SHORT, leads_back))
+                    ends.append(self._descend(part, name, shifted, _SHORT, leads_back, best.loss))
             if (least := _least(ends)) is best:
                 break
             best = least
@@ -236,7 +238,7 @@ class Searches:
             start[at] = share * best.vector[at]
             if not leads_back(start):
                 name = f"the previous best with the initial armature and {share:g} of the delay"
-                ends.append(self._descend(whole, name, start, _SHORT, leads_back))
+                ends.append(self._descend(whole, name, start, _SHORT, leads_back, best.loss))
         return _least(ends)
 
 
