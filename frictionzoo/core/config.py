@@ -6,6 +6,7 @@ import functools
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -24,6 +25,7 @@ from frictionzoo.core.declared import ModelSource
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.params import AUTO
+from frictionzoo.core.registry import KINDS
 from frictionzoo.core.threads import count_cores, jobs_at_once, threads_each
 
 _PACKAGE = Path(__file__).parents[1]
@@ -121,12 +123,27 @@ def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
     Raises:
         ConfigError: An option does not exist or cannot have this value.
     """
-    plain = compose_config(*choices)
+    plain = _compose_plain(choices)
     config = copy.deepcopy(plain)
     OmegaConf.set_struct(config, False)
     config = cast(DictConfig, OmegaConf.merge(config, describe(given)))
     check_overrides(config, plain)
     return resolve(config)
+
+
+def _compose_plain(choices: tuple[str, ...]) -> DictConfig:
+    """Compose a configuration without options; remember it, because Hydra reads all files again, for 0.1 s."""
+    if GlobalHydra.instance().is_initialized():  # the program's search path may have folders of the user
+        return compose_config(*choices)
+    models = sys.modules.get(KINDS["models"].home)
+    entries = models.REGISTRY.entries if models else {}
+    # A notebook may define a model again.
+    return _remember_plain(choices, tuple(entries.get(choice.removeprefix("model=")) for choice in choices), *sys.path)
+
+
+@functools.lru_cache(maxsize=64)
+def _remember_plain(choices: tuple[str, ...], models: tuple[type | None, ...], *path: str) -> DictConfig:
+    return compose_config(*choices)
 
 
 def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig) -> DictConfig:
