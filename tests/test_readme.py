@@ -6,16 +6,17 @@ import runpy
 import shlex
 import subprocess
 import time
+from collections.abc import Callable
 from contextlib import nullcontext
 
 import pytest
-from conftest import check_each, ending_in_time
+from conftest import Finished, check_each, ending_in_time
 from helpers.composing import assert_composes
 from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of
 from omegaconf import OmegaConf
 
 from frictionzoo.cli.commands import COMMANDS
-from frictionzoo.core.config import CONF_DIR, list_choices, list_options
+from frictionzoo.core.config import CONF_DIR, compose_config, list_choices, list_options
 from frictionzoo.core.declared import section_of
 from frictionzoo.models import get_model, model_names
 
@@ -70,13 +71,29 @@ def test_ci_runs_the_first_blocks_of_the_readme_as_they_stand():
         return subprocess.run([ROOT / ".ci" / "readme_command", str(number)], capture_output=True, text=True)
 
     first, second = blocks_of(ROOT / "README.md")[:2]
-    assert first.endswith("python -m frictionzoo.run model=coulomb_stribeck")
+    assert first.endswith("python -m frictionzoo.run data=twin_clean model=coulomb_stribeck")
     assert '".[test]"' in second and "pytest" in second
     ci = (ROOT / ".ci" / "run").read_text()
     assert '.ci/readme_command "$1"' in ci
     for number, block in enumerate((first, second), 1):
         assert show(number).stdout.strip() == block and f"\nrun_readme_command {number}\n" in ci
     assert show(99).returncode == 1 and "no bash block number 99" in show(99).stderr
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
+def test_the_first_run_gives_the_table_of_the_readme(call: Callable[..., Finished]):
+    """Rounding differs between machines. The hidden drive, as in the data's configuration, is within each interval."""
+    options = blocks_of(ROOT / "README.md")[0].rpartition("frictionzoo.run ")[2].split()
+    drive, finished = compose_config(*options).data.drive, call(*options)
+    table = r"^\| `\w+\.(\w+)` \| (\S+) \| (\S+) to (\S+) \| (\S+) "
+    rows = re.findall(table, (ROOT / "README.md").read_text(), re.M)
+    printed = re.findall(r"^\w+\.(\w+) +(\S+) +(\S+) to (\S+) .* identified$", finished.out, re.M)
+    assert len(rows) == 5 and "verdict: no problems found" in finished.out
+    for (name, *stated, hidden), (other, *numbers) in zip(rows, printed, strict=True):
+        (value, low, high), truth = map(float, stated), float(hidden)
+        assert name == other and [value, low, high] == pytest.approx([*map(float, numbers)], rel=5e-3)
+        assert truth == drive[{"kinetic_torque": "coulomb_torque"}.get(name, name)] and low <= truth <= high
 
 
 def test_tests_end_in_time_where_a_time_is_set(monkeypatch: pytest.MonkeyPatch):

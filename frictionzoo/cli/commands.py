@@ -39,7 +39,7 @@ commands (frictionzoo COMMAND is python -m frictionzoo.COMMAND):
 
 examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
   A first run, on simulated recordings
-    frictionzoo model=coulomb_stribeck
+    frictionzoo data=twin_clean model=coulomb_stribeck
   Your recording: check it, then identify it on your test stand
     frictionzoo inspect a.csv
     frictionzoo data=files 'data.train=[a.csv]' bench.mjcf=stand.xml \\
