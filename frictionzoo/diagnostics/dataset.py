@@ -9,6 +9,7 @@ import numpy as np
 from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import can_collide
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.telling import say_percent
 from frictionzoo.diagnostics.findings import Finding, of_joint
 
 UNITS = {
@@ -58,7 +59,7 @@ def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:
         back = min(float(np.mean(moving > 0)), float(np.mean(moving < 0)))
         slow, fast = np.quantile(np.abs(moving), [0.1, 0.9])
         if back < ONE_WAY:
-            text = f"the motion{of} hardly reverses ({100 * back:.2g} % in the other direction): dry friction and a "
+            text = f"the motion{of} hardly reverses ({say_percent(back)} in the other direction): dry friction and a "
             text += "constant torque cannot be distinguished; record both directions and list them in data.train"
             yield Finding("caution", "one way", text, joint=name)
         if fast < ONE_SPEED * slow:
@@ -74,7 +75,7 @@ def check_motion(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
     for joint, (low, high), positions in zip(bench.joints, bench.unlimited, qpos.T, strict=True):
         beyond = (positions < low) | (positions > high)
         if beyond.any():
-            share = f"{100 * beyond.mean():.2g} % of the recorded positions"
+            share = f"{say_percent(beyond.mean())} of the recorded positions"
             text = f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
             text += f"{positions.min():.4g} to {positions.max():.4g}: the joint may have hit a stop, or its zero or "
             text += "sign differs from the file (data.sign, bench.limits=keep)"
@@ -90,7 +91,8 @@ def check_motion(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
         mujoco.mj_fwdPosition(model, data)
         counts.update({*_list_forces(model, data)})
     for text, times in counts.items():
-        message = f"{text} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo applies a force there, "
+        share = say_percent(times / len(qpos))
+        message = f"{text} in {share} of the recorded positions: MuJoCo applies a force there, "
         message += "which biases friction; check these positions, or remove the limit or contact from the MJCF"
         yield Finding("caution", text, message)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from frictionzoo.core.log import JITTER
+from frictionzoo.core.telling import say_percent
 from frictionzoo.data.units import ONE_WAY, SLOW_JOINT, WHOLE_RANGE
 from frictionzoo.diagnostics.findings import Finding
 
@@ -78,7 +79,7 @@ def _check_clock(timing: Mapping[str, Any]) -> Finding:
         return Finding("good", "Clock", f"All intervals are {median:.4g} ms, within {100 * JITTER:g} %.")
     text = ""
     if jitter["high"]:
-        text = f"{100 * jitter['median']:.2g} % of a recording's intervals (median) differ by more than "
+        text = f"{say_percent(jitter['median'])} of a recording's intervals (median) differ by more than "
         text += f"{100 * JITTER:g} % from the median interval, by up to {100 * timing['worst']['high']:.0f} %. "
     if differ:
         text += f"Median intervals range from {low:.4g} to {high:.4g} ms; one fit needs the same interval. "
@@ -110,7 +111,7 @@ def _check_resolution(joint: Mapping[str, Any], interval: float, unit: str) -> F
     speed = quantum["median"] / interval
     top = max(map(abs, joint["velocity"]))
     text = f"The position moves in steps of {quantum['median']:.3g} {unit}: one step per sample is {speed:.2g} "
-    text += f"per second, {100 * speed / max(top, 1e-12):.2g} % of the top speed."
+    text += f"per second, {say_percent(speed / max(top, 1e-12))} of the top speed."
     text += " Use long segments (segments.length)." if speed > 0.1 * top else ""
     return Finding("note" if speed > 0.01 * top else "good", "Resolution", text)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError
+from frictionzoo.core.telling import say_percent
 from frictionzoo.export.base import Deviation, Export, Target, list_values, measure, read_choice, register_target
 from frictionzoo.export.bench import list_lacks, say_limits, write_bench
 from frictionzoo.export.nearest import Nearest, find_nearest
@@ -180,7 +181,7 @@ def _list_remarks(
     if difference:
         prefix = f"Simulated unchanged in MuJoCo with held-out commands ({difference.over}):"
         unit, error = difference.unit, fitted.result.metrics.test.position_mae
-        share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
+        share = f" ({say_percent(difference.mean / error)} of the drive's own test error)" if error else ""
         reason = difference.reason and f": {difference.reason}"
         remarks.append(
             f"{prefix} the identified drive is represented exactly, positions within {EXACT:g} {unit}."

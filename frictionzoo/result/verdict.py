@@ -160,7 +160,7 @@ def _doubt_fit(fit: types.FitRecord) -> Iterator[types.ResultFinding]:
         yield _find("fit", f"the fit did not converge within {fit.iterations} iterations", _MORE)
     if fit.falling > FALLING:
         yield _find(
-            "fit", f"the loss still fell by {100 * fit.falling:.2g} % in the last tenth of the iterations", _MORE
+            "fit", f"the loss still fell by {say_percent(fit.falling)} in the last tenth of the iterations", _MORE
         )
     if fit.moving:
         yield _find("fit", f"still moving at the end of the fit: {', '.join(fit.moving)}", _MORE)
