@@ -19,6 +19,7 @@ from omegaconf import OmegaConf
 import frictionzoo as fz
 from frictionzoo.core.config import CONF_DIR
 from frictionzoo.core.registry import KINDS
+from frictionzoo.result.verdict import PLACES
 
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")  # CI installs it and runs this file
 
@@ -170,3 +171,8 @@ def test_an_option_has_its_value_and_its_comment(tmp_path: Path, monkeypatch: py
     page = configuration.render(tmp_path)
     assert "The head.\n" in page
     assert "| `outer.inner` | `${mul:2,${x}}` | 1 \\| 2 |" in page
+
+
+def test_the_page_of_findings_has_each_residual_factor() -> None:
+    page = (ROOT / "docs" / "findings.md").read_text()
+    assert not [text for text in PLACES.values() if text not in page]
