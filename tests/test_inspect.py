@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 from conftest import DATA, ROOT, needs_data
-from helpers.browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
+from helpers.browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
 from helpers.html_pages import HOSTILE, Page
 from helpers.recordings import make_recording, read_sts3215, simulate_servo
 from helpers.write_logs import write_csv
@@ -23,8 +23,10 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.files import Files
 from frictionzoo.data.recording import Recording
 from frictionzoo.diagnostics.survey import list_recordings, put_in_order, rank_by_faults, read_schema, survey_recordings
+from frictionzoo.diagnostics.survey_findings import merge_findings
 from frictionzoo.report.inspection_page import write_page
-from frictionzoo.report.inspection_terminal import list_quantities, summarise
+from frictionzoo.report.inspection_tables import judge, list_quantities
+from frictionzoo.report.inspection_terminal import summarise
 
 TIME = 0.01 * np.arange(1000)
 BACK = np.where(TIME % 1 < 0.9, 0.1, -9.0)  # forward too slowly to count
@@ -117,8 +119,8 @@ def test_joints_are_distinguished():
     signals = {name: np.hstack([values, values]) for name, values in swing().signals.items()}
     signals["qpos"][300, 0] -= 2.0
     survey = validate(survey_recordings("arm", [Recording("arm.csv", TIME, signals)], "slide"))
-    units = {row[0]: row[-1] for row in list_quantities(survey)}
-    assert (units["position 1"], units["velocity 1"]) == ("m", "m/s")
+    units = {row[0]: row[-1] for row in list_quantities(survey, "1")}
+    assert (units["position"], units["velocity"]) == ("m", "m/s")
     assert not any("rad" in finding["text"] for finding in survey["findings"])
     assert [joint["spikes"] for joint in survey["joints"]] == [1, 0]
     assert {"Spikes, joint 1", "Spikes, joint 2"} <= {finding["title"] for finding in survey["findings"]}
@@ -139,8 +141,58 @@ def test_every_recording_is_labelled_with_the_joints(tmp_path, joints, names):
     (columns,) = survey["columns"]
     assert [row["columns"]["ctrl"] for row in columns["joints"]] == [f"cmd_{name}" for name in names]
     assert f"Spikes, joint {names[0]}" in {finding["title"] for finding in survey["findings"]}
+    ranges = {name: dict(row[:4:3] for row in list_quantities(survey, name)) for name in names}
+    assert {name: row["position"] for name, row in ranges.items()} == {"hip": "0.5", "knee": "1"}
+    assert "joint <-" not in summarise(survey, tmp_path)
+    columns["by"]["qpos"] = "place"  # to be checked by the user
     assert "joint <-  position  command" in summarise(survey, tmp_path)
-    assert f"position {names[0]}" in {row[0] for row in list_quantities(survey)}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    """Ten recordings of 12 joints: late velocities except in two joints, one spike, a command at its limits."""
+    one = {name: np.repeat(values, 12, axis=1) for name, values in swing(lag=0.02).signals.items()}
+    one["qvel"][:, :2], one["ctrl"][:, 5] = swing().signals["qvel"], np.sign(np.sin(TIME))
+    recordings = [Recording(f"{number}.csv", TIME, one) for number in range(10)]
+    position = one["qpos"].copy()
+    position[300, 3] -= 2.0
+    recordings[4] = replace(recordings[4], signals=one | {"qpos": position})
+    return recordings, survey_recordings("robot", recordings, "hinge", [f"joint_{number}" for number in range(12)])
+
+
+def test_findings_that_joints_share_are_one_line(robot, tmp_path):
+    _, survey = robot
+    merged = {finding.title: finding for finding in merge_findings(validate(survey))}
+    assert "by 20 ms" in merged["Velocity, all joints except joint_0, joint_1"].text
+    assert merged["Velocity, joints joint_0, joint_1"].state == merged["Clock"].state == "good"
+    assert merged["Spikes, joint joint_3"].option == "data.clean.spikes=repair"
+    lines = summarise(survey, tmp_path, "python -m frictionzoo.run").splitlines()
+    assert len(lines) <= 40 and lines[-1] == "  python -m frictionzoo.run"
+    rows = {line.split()[0]: line for line in lines if line.startswith("joint_")}
+    assert len(rows) == 12 and [name for name, row in rows.items() if "!" not in row] == ["joint_0", "joint_1"]
+    assert re.search(r"1 ! +20 !", rows["joint_3"]) and "slow" not in summarise(survey, tmp_path)
+    assert sum("Excitation" in line for line in lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("texts", "merged"),
+    [(("5 ms, -2 to 0.5", "10 ms, -2 to 0.25"), "5 to 10 ms, -2 to 0.25 to 0.5"), (("1e-3 rad",), "1e-3 rad")],
+)
+def test_numbers_that_differ_become_a_range(robot, texts, merged):
+    entries = [
+        {"state": "note", "title": f"X, joint joint_{i}", "text": t, "option": None} for i, t in enumerate(texts)
+    ]
+    (finding,) = merge_findings(robot[1] | {"findings": entries})
+    assert finding.text == merged
+
+
+def test_the_verdict_names_problems_and_those_that_no_option_solves(robot):
+    survey = robot[1]
+    text, _, unsolved = judge(survey).partition("Not solved by an option: ")
+    assert "Velocity, Spikes" in text and not unsolved
+    still = survey_recordings("still", [swing(qpos=STILL)])
+    assert "Excitation" in judge(still).partition("Not solved by an option: ")[2]
+    assert "No problems" in judge(survey_recordings("swings", [swing()]))
 
 
 def test_every_field_of_the_schema_is_described():
@@ -200,6 +252,23 @@ def test_a_browser_draws_every_figure(page):
     assert browser.run(DRAWN) == len(read_data(path.read_text(encoding="utf-8"))["figures"])
     inner, width, *_ = browser.run(WIDTHS)
     assert width <= inner
+
+
+@needs_browser
+def test_the_page_of_a_robot_folds_its_joints(robot, tmp_path):
+    recordings, survey = robot
+    write_page(tmp_path / "inspect.html", survey, recordings, "python -m frictionzoo.run data.clean.spikes=repair")
+    browser = open_page(tmp_path / "inspect.html", width=1440)
+    bottom = """return [document.querySelector(".matrix"), document.querySelector(".command")]
+      .map(part => part.getBoundingClientRect().bottom <= innerHeight);"""
+    assert browser.run(bottom) == [True, True]
+    doubtful = "return [...document.querySelectorAll('.matrix .caution')].map(cell => cell.dataset.label);"
+    assert browser.run(doubtful) == ["lag [ms]", "spikes", *["lag [ms]"] * 9]
+    browser = open_page(tmp_path / "inspect.html", fragment="#joint-4", width=390)
+    assert browser.run("return await allDrawn() && document.querySelectorAll('details[open]').length;") == 1
+    inner, width, *drawings = browser.run(WIDTHS)
+    assert width <= inner == 390 and drawings and max(drawings) <= inner
+    assert browser.run(CLIPPED) == []
 
 
 def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_path):

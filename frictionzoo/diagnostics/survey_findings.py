@@ -1,7 +1,8 @@
 """Findings in a data set: problems and passed checks, with the option that solves each problem."""
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +21,10 @@ SATURATED = 0.05  # share of samples at an end of the command's range above whic
 TURNS = 20.0  # range of positions above which they may be degrees [rad]
 DEGREES = "data.units.qpos=deg"
 SURE = 0.003  # lower quartile of a delay below which it is not distinguishable from 0 [s]
+
+OF_JOINT = ", joint "  # between check and joint in a title
+SEVERITY = ("bad", "caution", "note", "good")
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 FAULTS = {  # faults of clock and samples: singular, plural
     "duplicates": ("repeated sample", "repeated samples"),
@@ -40,7 +45,7 @@ def list_findings(survey: Mapping[str, Any], stated: bool = False) -> Iterator[F
     yield _check_completeness(survey["timing"])
     for part, check in (("joints", _check_joint), ("commands", _check_command)):
         for entry in survey[part]:
-            which = f", joint {entry['name']}" if len(survey[part]) > 1 else ""
+            which = f"{OF_JOINT}{entry['name']}" if len(survey[part]) > 1 else ""
             findings = [finding for finding in check(entry, survey) if not (stated and finding.option == DEGREES)]
             yield from (replace(finding, title=f"{finding.title}{which}") for finding in findings)
     if survey["supply"] is not None:
@@ -49,6 +54,46 @@ def list_findings(survey: Mapping[str, Any], stated: bool = False) -> Iterator[F
     if enabled is not None and enabled["low"] < 1:
         text = f"The drive is off for up to {100 * (1 - enabled['low']):.0f} % of a recording: the bench's actuator "
         yield Finding("note", "Drive off", f"{text}needs the input enable.")
+
+
+def split_title(title: str) -> tuple[str, str]:
+    """Return check and joint of a title; the joint is empty for all joints together."""
+    check, _, joint = title.partition(OF_JOINT)
+    return check, joint
+
+
+def merge_findings(survey: Mapping[str, Any]) -> list[Finding]:
+    """Return the findings of a survey, the most severe first; findings that joints share become one.
+
+    Its title has the joints, and its text the range of each number that differs between them.
+    """
+    groups: dict[tuple[str, ...], dict[str, Finding]] = {}
+    for entry in survey["findings"]:
+        check, joint = split_title(entry["title"])
+        key = entry["state"], check, _NUMBER.sub("0", entry["text"]), entry["option"] or ""
+        groups.setdefault(key, {})[joint] = Finding(**entry)
+    names, merged = [joint["name"] for joint in survey["joints"]], list[Finding]()
+    for (_, check, *_), findings in groups.items():
+        first, text = next(iter(findings.values())), _merge_texts([finding.text for finding in findings.values()])
+        merged.append(replace(first, title=f"{check}{_say_joints([*findings], names)}", text=text))
+    return sorted(merged, key=lambda finding: SEVERITY.index(finding.state))
+
+
+def _say_joints(joints: Sequence[str], names: Sequence[str]) -> str:
+    """Return the end of a title that is shared by these of all joints."""
+    others = [name for name in names if name not in joints]
+    if len(joints) == 1:
+        return f"{OF_JOINT}{joints[0]}" if joints[0] else ""
+    if len(others) > len(names) / 2 or not {*joints} <= {*names}:
+        return f", joints {', '.join(joints)}"
+    return f", all joints except {', '.join(others)}" if others else ", all joints"
+
+
+def _merge_texts(texts: Sequence[str]) -> str:
+    """Merge texts that differ only in numbers."""
+    columns = (sorted(column, key=float) for column in zip(*map(_NUMBER.findall, texts), strict=True))
+    spans = (column[0] if column[0] == column[-1] else f"{column[0]} to {column[-1]}" for column in columns)
+    return _NUMBER.sub(lambda _: next(spans), texts[0])
 
 
 def _check_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Finding]:
@@ -157,8 +202,8 @@ def _check_delay(delay: Mapping[str, Any] | None) -> Finding:
     if delay["low"] < SURE:
         text = f"The delay of the {delay['command']} command is not distinguishable from 0 (estimate {middle:.2g} ms)."
         return Finding("good", "Command", text)
-    text = f"The {delay['command']} command acts about {middle:.0f} ms late (half of {delay['estimates']} estimates "
-    text += f"between {low:.0f} and {high:.0f} ms). Identify it."
+    text = f"The {delay['command']} command acts about {middle:.0f} ms late ({delay['estimates']} estimates, "
+    text += f"quartiles {low:.0f} and {high:.0f} ms). Identify it."
     return Finding("caution", "Command", text, "bench.params.delay.identify=true")
 
 
@@ -183,9 +228,8 @@ def _check_motion(joint: Mapping[str, Any], unit: str) -> Iterator[Finding]:
 def _check_command(command: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Finding]:
     saturated = command["saturated"]
     if saturated is not None and saturated["median"] > SATURATED:
-        low, high = command["range"]
-        text = f"The command is at an end of its range, {low:.3g} or {high:.3g}, for "
-        text += f"{100 * saturated['median']:.0f} % of a recording (median): it may be limited."
+        text = f"The command is at an end of its range for {100 * saturated['median']:.0f} % of a recording "
+        text += "(median): it may be limited."
         yield Finding("note", "Saturation", text)
 
 

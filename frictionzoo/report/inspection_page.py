@@ -11,9 +11,10 @@ from frictionzoo.data.recording import Recording
 from frictionzoo.data.signals import derive_velocity, find_spikes, regular_stretch, repair_spikes
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.diagnostics.survey import pool_velocities, rank_by_faults
+from frictionzoo.diagnostics.survey_findings import merge_findings, split_title
 from frictionzoo.report.colors import BASELINE, BEST, MODEL
 from frictionzoo.report.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe
-from frictionzoo.report.inspection_terminal import list_quantities
+from frictionzoo.report.inspection_tables import judge, list_quantities, tabulate_checks
 from frictionzoo.report.page import save_page
 
 BINS = 61
@@ -21,30 +22,53 @@ LISTED = 50  # largest number of recordings in the table; inspect.json has all
 SMALL = 220  # height of a small figure [px]
 
 
-def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recording]) -> None:
-    """Write the page of a survey (content of `inspect.json`) and its recordings.
+def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recording], command: str = "") -> None:
+    """Write the page of a survey (content of `inspect.json`) and its recordings, with the `command` to run next.
 
     Raises:
         OutputError: The file cannot be written.
     """
     ranked = rank_by_faults(survey)
     worst = next(recording for recording in recordings if recording.name == ranked[0]["name"])
-    joints = range(len(survey["joints"]))
-    sections = {
-        "velocity": [_plot_velocities(recordings, joint, survey) for joint in joints],
-        "worst": [_plot_recording(worst, joint, survey) for joint in joints],
-        "spread": list(_plot_spreads(survey)) if len(recordings) > 1 else [],
+    joints = [
+        {
+            "name": entry["name"],
+            "quantities": list(list_quantities(survey, entry["name"])),
+            "checks": [Finding(**one) for one in survey["findings"] if split_title(one["title"])[1] == entry["name"]],
+            "columns": [row["columns"] for each in survey["columns"] for row in each["joints"][joint : joint + 1]],
+            "figures": f"joint {joint}",
+        }
+        for joint, entry in enumerate(survey["joints"])
+    ]
+    figures = {
+        entry["figures"]: list(_plot_joint(recordings, worst, joint, survey)) for joint, entry in enumerate(joints)
     }
     save_page(
         path,
         "report/inspect.html.jinja",
-        sections,
-        [Finding(**finding) for finding in survey["findings"]],
+        figures | {"spread": list(_plot_spreads(survey))},
+        merge_findings(survey),
         survey=survey,
+        verdict=judge(survey),
+        command=command,
+        joints=joints,
+        columns=tabulate_checks(survey),
         quantities=list(list_quantities(survey)),
         rows=ranked[:LISTED],
         version=survey["version"],
     )
+
+
+def _plot_joint(
+    recordings: Sequence[Recording], worst: Recording, joint: int, survey: Mapping[str, Any]
+) -> Iterator[Figure]:
+    yield _plot_velocities(recordings, joint, survey)
+    yield _plot_recording(worst, joint, survey)
+    entries = [entry["joints"][joint] for entry in survey["recordings"]]
+    lags = [1e3 * entry["velocity_lag"] for entry in entries if entry["velocity_lag"] is not None]
+    yield from _plot_spread("Velocity lag", "ms", lags)
+    yield from _plot_spread("Top speed", survey["units"]["velocity"], [entry["top_speed"] for entry in entries])
+    yield from _plot_spread("Slow samples", "%", [100 * entry["slow"] for entry in entries])
 
 
 def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mapping[str, Any]) -> Figure:
@@ -55,7 +79,7 @@ def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mappin
     panel = Panel((band, bars), Axis("velocity", survey["units"]["velocity"]), Axis("share of the samples", "%"))
     text = f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % are in the band, "
     text += f"below {slow['speed']:.2g} {survey['units']['velocity']}."
-    return Figure(_name("Velocities", joint, survey), text, (panel,))
+    return Figure("Velocities", text, (panel,))
 
 
 def _plot_recording(recording: Recording, joint: int, survey: Mapping[str, Any]) -> Figure:
@@ -82,20 +106,13 @@ def _plot_recording(recording: Recording, joint: int, survey: Mapping[str, Any])
     lower = Panel(lower_marks, axis, Axis("velocity", units["velocity"]), share=2.0)
     text = f"{recording.name}: position [{units['position']}] and command at the top, velocity at the bottom; the "
     text += "estimate covers the longest stretch without a gap."
-    return Figure(_name(recording.name, joint, survey), text, (upper, lower))
+    return Figure("Recording with the most faults", text, (upper, lower))
 
 
 def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
     recordings = survey["recordings"]
     yield from _plot_spread("Sample interval", "ms", [1e3 * entry["timing"]["interval"] for entry in recordings])
     yield from _plot_spread("Uneven intervals", "%", [100 * entry["timing"]["jitter"] for entry in recordings])
-    for joint in range(len(survey["joints"])):
-        entries = [entry["joints"][joint] for entry in recordings]
-        lags = [1e3 * entry["velocity_lag"] for entry in entries if entry["velocity_lag"] is not None]
-        yield from _plot_spread(_name("Velocity lag", joint, survey), "ms", lags)
-        tops = [entry["top_speed"] for entry in entries]
-        yield from _plot_spread(_name("Top speed", joint, survey), survey["units"]["velocity"], tops)
-        yield from _plot_spread(_name("Slow samples", joint, survey), "%", [100 * entry["slow"] for entry in entries])
     supplies = [entry["supply"]["median"] for entry in recordings if entry["supply"]]
     yield from _plot_spread("Supply", "V", supplies)
 
@@ -119,7 +136,3 @@ def _count(
     length, width = 100 * counts / len(values) if share else counts.astype(float), float(edges[1] - edges[0])
     shared: dict[str, Any] = {"name": name, "color": MODEL, "upright": True}
     return Bars(at=0.5 * (edges[1:] + edges[:-1]), length=length, width=0.96 * width, legend=False, **shared)
-
-
-def _name(quantity: str, joint: int, survey: Mapping[str, Any]) -> str:
-    return f"{quantity}, joint {survey['joints'][joint]['name']}" if len(survey["joints"]) > 1 else quantity

@@ -7,67 +7,68 @@ from textwrap import fill
 from typing import Any
 
 from frictionzoo.core.telling import align, escape_all, list_columns
+from frictionzoo.diagnostics.findings import Finding
+from frictionzoo.diagnostics.survey_findings import merge_findings
+from frictionzoo.report.inspection_tables import format_short, judge, list_quantities, tabulate_checks
 
 WIDTH = 110  # characters per line, at most, and without a terminal
-MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
+STATES = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
+MARKS = {"good": " ", "note": "i", "caution": "!", "bad": "x"}  # in the table of joints
 
-Row = tuple[str, str, str, str, str]
 
+def summarise(survey: Mapping[str, Any], folder: Path, command: str = "") -> str:
+    """Summarise a data set: quantities, findings, verdict, folder of the files, and the `command` to run next.
 
-def summarise(survey: Mapping[str, Any], folder: Path) -> str:
-    """Summarise a data set: quantities over the recordings, findings, and the folder of `inspect.json` and its page."""
+    Several joints have one row each, with the results of the checks in which they differ.
+    """
     survey = escape_all(survey)
-    data, count = survey["data"], survey["data"]["recordings"]
-    length = f"{data['samples']} samples, {data['duration']:.4g} s"
-    options = [finding["option"] for finding in survey["findings"] if finding["option"]]
-    tables = [align(list_columns(columns)) for columns in survey["columns"]]
+    data, count, first = survey["data"], survey["data"]["recordings"], survey["joints"][0]
+    length, findings = f"{data['samples']} samples, {data['duration']:.4g} s", merge_findings(survey)
+    if len(survey["joints"]) > 1:
+        named = all(by == "name" for columns in survey["columns"] for by in columns["by"].values())
+        tables = [
+            *([] if named else [align(list_columns(columns)) for columns in survey["columns"]]),
+            _tabulate(survey),
+        ]
+    else:
+        head = ("over all recordings", "lowest", "median", "highest", "unit")
+        tables = [align([head, *list_quantities(survey), *list_quantities(survey, first["name"])])]
     blocks = [
         f"{data['name']}: {count} recording{'s' * (count != 1)}, {length}",
-        *(tables if len(survey["joints"]) > 1 else []),
-        align([("over all recordings", "lowest", "median", "highest", "unit"), *list_quantities(survey)]),
-        "\n".join(_tell(survey["findings"])),
-        *([f"suggested options: {' '.join(dict.fromkeys(options))}"] if options else []),
-        f"files: {folder}",
+        *tables,
+        "\n".join(_tell(findings, brief=len(survey["joints"]) > 1)),
+        fill(judge(survey), _width()),
+        f"files: {folder}" + (f"\nnext:\n  {command}" if command else ""),
     ]
     return "\n\n".join(blocks)
 
 
-def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield rows of the table of quantities: name, lowest, median and highest over the recordings, unit."""
-    timing, units = survey["timing"], survey["units"]
-    small_unit = " or ".join(f"m{unit}" for unit in units["position"].split(" or "))
-    yield from _row("sample interval", timing["interval"], "ms", 1e3)
-    yield from _row("intervals off by more than 5 %", timing["jitter"], "%", 100.0)
-    for joint in survey["joints"]:
-        suffix = f" {joint['name']}" if len(survey["joints"]) > 1 else ""
-        yield _bounds(f"position{suffix}", joint["position"], units["position"])
-        yield _bounds(f"velocity{suffix}", joint["velocity"], units["velocity"])
-        yield from _row(f"position quantum{suffix}", joint["position_quantum"], small_unit, 1e3)
-        yield from _row(f"velocity lag{suffix}", joint["velocity_lag"], "ms", 1e3)
-        yield from _row(f"at rest{suffix}", joint["rest"], "%", 100.0)
-        if delay := joint["delay"]:
-            values = {"low": delay["low"], "median": delay["seconds"], "high": delay["high"]}
-            yield from _row(f"command delay{suffix}, quartiles", values, "ms", 1e3)
-    for command in survey["commands"]:
-        suffix = f" {command['name']}" if len(survey["commands"]) > 1 else ""
-        yield _bounds(f"command{suffix}", command["range"], "")
-        yield from _row(f"command at a limit{suffix}", command["saturated"], "%", 100.0)
-    if survey["supply"]:
-        yield from _row("supply, measured", survey["supply"]["measured"], "V", 1.0)
+def _tabulate(survey: Mapping[str, Any]) -> str:
+    columns, units = [column for column in tabulate_checks(survey) if column.differs], survey["units"]
+    head = (f"position [{units['position']}]", f"top speed [{units['velocity']}]")
+    rows = [("joint", *head, *(column.heading for column in columns))]
+    for number, joint in enumerate(survey["joints"]):
+        low, high = map(format_short, joint["position"])
+        cells = [column.cells[number] for column in columns]
+        marked = [f"{cell.value} {MARKS[cell.state]}" for cell in cells]
+        rows.append((joint["name"], f"{low} to {high}", format_short(max(map(abs, joint["velocity"]))), *marked))
+    used = {cell.state for column in columns for cell in column.cells} - {"good"}
+    legend = ", ".join(f"{MARKS[state]} {STATES[state]}" for state in STATES if state in used)
+    return align(rows) + (f"\n({legend})" if legend else "")
 
 
-def _row(name: str, spread: Mapping[str, float] | None, unit: str, factor: float) -> Iterator[Row]:
-    if spread is not None:
-        low, median, high = (f"{factor * spread[key]:.4g}" for key in ("low", "median", "high"))
-        yield name, low, median, high, unit
+def _tell(findings: Sequence[Finding], brief: bool) -> Iterator[str]:
+    """Yield one paragraph per finding; if `brief`, one for all checks that every joint passed."""
+    told = [finding for finding in findings if not brief or finding.state != "good"]
+    lines = [(finding.state, f"{finding.title}: {finding.text}", finding.option) for finding in told]
+    failed = {finding.title.partition(",")[0] for finding in told}
+    passed = dict.fromkeys(finding.title.partition(",")[0] for finding in findings)
+    if brief and passed.keys() - failed:
+        lines.append(("good", f"{', '.join(check for check in passed if check not in failed)}.", None))
+    for state, text, option in lines:
+        text += f" [{option}]" if option else ""
+        yield fill(text, _width(), initial_indent=f"{STATES[state]:<9}", subsequent_indent=" " * 9)
 
 
-def _bounds(name: str, bounds: Sequence[float], unit: str) -> Row:
-    return name, f"{bounds[0]:.4g}", "", f"{bounds[1]:.4g}", unit
-
-
-def _tell(findings: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    order, width = list(MARKS)[::-1], min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
-    for finding in sorted(findings, key=lambda finding: order.index(finding["state"])):
-        text = f"{finding['title']}: {finding['text']}"
-        yield fill(text, width, initial_indent=f"{MARKS[finding['state']]:<9}", subsequent_indent=" " * 9)
+def _width() -> int:
+    return min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
