@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,7 +19,8 @@ from helpers.html_pages import HOSTILE, Page
 from helpers.recordings import make_recording, read_sts3215, simulate_servo
 from helpers.write_logs import write_csv
 
-from frictionzoo.cli.inspect import main
+from frictionzoo.cli.inspect import inspect_data, main
+from frictionzoo.core.config import compose_config
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.files import Files
 from frictionzoo.data.recording import Recording
@@ -269,6 +271,28 @@ def test_the_page_of_a_robot_folds_its_joints(robot, tmp_path):
     inner, width, *drawings = browser.run(WIDTHS)
     assert width <= inner == 390 and drawings and max(drawings) <= inner
     assert browser.run(CLIPPED) == []
+
+
+@pytest.mark.parametrize(
+    ("given", "suggested"),
+    [
+        ((), ["data.clean.step=0.01", "data.clean.spikes=repair"]),
+        (["data.clean.step=0.02"], ["data.clean.spikes=repair"]),
+        (["data.clean.spikes=drop"], ["data.clean.step=0.01"]),
+        (["data.clean.spikes=repair", "data.clean.step=0.01"], []),
+    ],
+)
+def test_an_option_that_is_set_is_a_note_and_the_next_command_has_the_others(tmp_path, given, suggested):
+    uneven = TIME + np.random.default_rng(0).uniform(0, 0.003, len(TIME))
+    position = spiked(swing(time=uneven), 300).signals["qpos"][:, 0]
+    write_csv(tmp_path / "a.csv", {"time": uneven, "qpos": position, "ctrl": np.sin(uneven)})
+    options = ["data=files", f"data.train=[{tmp_path / 'a.csv'}]", *given]
+    summary = inspect_data(compose_config(*options), tmp_path / "out", options=options)
+    assert shlex.split(summary.splitlines()[-1]) == ["python", "-m", "frictionzoo.run", *options, *suggested]
+    findings = validate(json.loads((tmp_path / "out" / "inspect.json").read_text()))["findings"]
+    states = {finding["title"]: (finding["state"], finding["option"]) for finding in findings}
+    for title, option in (("Clock", "data.clean.step=0.01"), ("Spikes", "data.clean.spikes=repair")):
+        assert states[title] == (("caution", option) if option in suggested else ("note", None))
 
 
 def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_path):

@@ -1,15 +1,17 @@
 """Command line: `python -m frictionzoo.inspect FILE` or `data=...` checks recordings before a fit."""
 
 import contextlib
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import hydra
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
@@ -34,13 +36,13 @@ def _inspect(config: DictConfig) -> None:
         choices = hydra_config.runtime.choices
         has_bench = choices["data"] != "files" or any(text.startswith("bench") for text in hydra_config.overrides.task)
         bench = _build_bench(config) if has_bench else None
-        say(inspect_data(config, Path(hydra_config.runtime.output_dir), bench))
+        say(inspect_data(config, Path(hydra_config.runtime.output_dir), bench, hydra_config.overrides.task))
 
 
-def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
+def inspect_data(config: DictConfig, folder: Path, bench: Any = None, options: Sequence[str] = ()) -> str:
     """Check the data set of a job's configuration, write `inspect.html` and `inspect.json`, and return a summary.
 
-    `bench` is the recordings' test stand, None if unknown.
+    `bench` is the recordings' test stand, None if unknown; `options` are the user's, for the command to run next.
 
     Raises:
         FrictionzooError: The input is at fault, or a file cannot be written.
@@ -57,9 +59,24 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
     with claim(folder, "inspection", ("inspect.html", "inspect.json")):
         recordings, names = put_in_order(list_recordings(source), joints)
         survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type, names)
-        write_page(folder / "inspect.html", survey, recordings)
+        survey["findings"] = [_settle(finding, config) for finding in survey["findings"]]
+        doubtful = [finding for finding in survey["findings"] if finding["state"] in ("caution", "bad")]
+        suggested = dict.fromkeys(finding["option"] for finding in doubtful if finding["option"])
+        command = shlex.join(["python", "-m", "frictionzoo.run", *options, *suggested])
+        write_page(folder / "inspect.html", survey, recordings, command)
         write_json(folder / "inspect.json", survey)
-    return summarise(survey, folder)
+    return summarise(survey, folder, command)
+
+
+def _settle(finding: Mapping[str, Any], config: DictConfig) -> Mapping[str, Any]:
+    """Return a finding as a note if its option is set already, or another sample interval, or spikes are dropped."""
+    name, _, value = (finding["option"] or "").partition("=")
+    present = OmegaConf.select(config, name) if name else None
+    drops = finding["title"].startswith("Spikes") and present == "drop"
+    if present is None or not (present == yaml.safe_load(value) or name == "data.clean.step" or drops):
+        return finding
+    text = f"{finding['text']} Set already: {name}={str(present).lower()}."
+    return {**finding, "state": "note", "text": text, "option": None}
 
 
 def _build_bench(config: DictConfig) -> Any:
