@@ -61,7 +61,8 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None, options: S
         survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type, names)
         survey["findings"] = [_settle(finding, config) for finding in survey["findings"]]
         doubtful = [finding for finding in survey["findings"] if finding["state"] in ("caution", "bad")]
-        suggested = dict.fromkeys(finding["option"] for finding in doubtful if finding["option"])
+        options_to_set = [finding["option"] for finding in doubtful if finding["option"]]
+        suggested = dict.fromkeys(option for option in options_to_set if not option.endswith("=..."))
         command = shlex.join(["python", "-m", "frictionzoo.run", *options, *suggested])
         write_page(folder / "inspect.html", survey, recordings, command)
         write_json(folder / "inspect.json", survey)
