@@ -36,6 +36,15 @@ def test_a_part_is_made_again_from_its_section(part: Described, section: dict[st
     assert describe(copy.deepcopy(part)) == described
 
 
+def test_a_parameter_that_nobody_states_is_not_recorded() -> None:
+    assert describe(Force(force_gain=2.0)).keys() == {"_target_", "params", "force_gain"}
+
+
+def test_an_unknown_argument_is_refused_with_the_closest_one() -> None:
+    with pytest.raises(TypeError, match=r"^PositionPD: unknown argument kpp; did you mean kp\?"):
+        PositionPD(**{"kpp": 15, "kd": 0.5})
+
+
 def test_what_no_record_can_hold_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"expected numbers, text, lists or parts of frictionzoo"):
         describe(Files(inputs={"gain": object()}))

@@ -19,8 +19,10 @@ from conftest import ROOT, check_each
 from helpers.torch_laws import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
+from frictionzoo.bench.actuators import REGISTRY as ACTUATORS
 from frictionzoo.bench.base import DEFAULTS
 from frictionzoo.core.errors import BenchError, ConfigError, ModelError, RunError, UnknownModelError
+from frictionzoo.core.registry import KINDS
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import FrictionTerms, Signals
 from frictionzoo.models import TorchFriction, register_model
@@ -53,6 +55,15 @@ def test_it_offers_its_names_and_imports_nothing_heavy() -> None:
         assert callable(getattr(fz, name))
     with pytest.raises(AttributeError, match="no attribute 'friction'"):
         fz.friction  # noqa: B018
+
+
+def test_constructors_name_their_arguments() -> None:
+    for name in KINDS["actuators"].own():
+        law = ACTUATORS.get(name)
+        assert [*inspect.signature(law).parameters] == ["params", *law.dimensions]
+        assert law is getattr(fz, law.__name__)
+    assert {"mjcf", "joint", "actuator", "gravity"} <= {*inspect.signature(fz.Bench).parameters}
+    assert {"mjcf", "joint", "actuator", "contacts"} <= {*inspect.signature(fz.Robot).parameters}
 
 
 def test_a_free_value_is_identified_and_a_tied_one_is_shared() -> None:

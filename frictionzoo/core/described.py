@@ -5,24 +5,42 @@ import inspect
 import reprlib
 from collections.abc import Mapping
 from pathlib import PurePath
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.registry import dotted_name
 
 T = TypeVar("T")
 D = TypeVar("D", bound="Described")
 
 
+class _Signature:
+    """Signature of a class: its constructor's, where Python would show that of `Described.__new__`."""
+
+    def __get__(self, instance: object, owner: type) -> inspect.Signature:
+        if instance is not None:  # an object has the signature of its `__call__`
+            raise AttributeError("__signature__")
+        constructor = inspect.signature(owner.__init__)
+        return constructor.replace(parameters=[*constructor.parameters.values()][1:])
+
+
 class Described:
     """Base class whose objects remember their constructor arguments."""
 
+    __signature__ = _Signature()
+    records_none: ClassVar[bool] = True
+    """Whether a record keeps keyword arguments that are None."""
+
     def __new__(cls: type[T], *args: Any, **kwargs: Any) -> T:
-        """Keep the arguments; TypeError if the class takes none, which Python would not raise."""
+        """Keep the arguments; TypeError for one that the class does not take, with the closest one."""
         if (args or kwargs) and cls.__init__ is object.__init__:
             raise TypeError(f"{cls.__name__} takes no arguments")
+        parameters = inspect.signature(cls).parameters
+        if all(parameter.kind is not inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
+            for name in kwargs.keys() - parameters.keys():
+                raise TypeError(f"{cls.__name__}: unknown argument {name}; {closest(name, parameters)}")
         instance = object.__new__(cls)
         object.__setattr__(instance, "_given", (args, kwargs))  # a dataclass may be frozen
         return instance
@@ -63,16 +81,18 @@ def remake(part: D, **changed: Any) -> D:
     return type(part)(**{**dict(zip(names, args, strict=False)), **kwargs, **changed})
 
 
-def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    signature = inspect.signature(cls.__init__)  # the class has the signature of `Described.__new__`
+def _arguments(cls: type[Described], args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    signature = inspect.signature(cls.__init__)
     bound = signature.bind(None, *args, **kwargs)
     bound.apply_defaults()
     named: dict[str, Any] = {}
     for name, parameter in list(signature.parameters.items())[1:]:
-        if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+        value, kind = bound.arguments[name], parameter.kind
+        is_omitted = kind is inspect.Parameter.KEYWORD_ONLY and value is None and not cls.records_none
+        if kind is inspect.Parameter.VAR_KEYWORD:
             named |= bound.arguments[name]
-        elif parameter.kind is not inspect.Parameter.VAR_POSITIONAL:  # a class without a constructor has one
-            named[name] = bound.arguments[name]
+        elif kind is not inspect.Parameter.VAR_POSITIONAL and not is_omitted:  # a class without a constructor has one
+            named[name] = value
     return {name: describe(value) for name, value in named.items()}
 
 

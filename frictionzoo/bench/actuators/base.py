@@ -6,7 +6,7 @@ the same actuator. A controller also transforms the command before MuJoCo's actu
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -16,6 +16,11 @@ from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import Param, read_params, refuse_negative
 from frictionzoo.core.registry import KINDS, Registry
+
+Sections = Mapping[str, Mapping[str, Any]] | None
+"""Section of each parameter by name."""
+Value = float | int | Sequence[float | int] | Mapping[str, Any] | None
+"""A known value for all joints, one a joint, a section as `free` returns it, or None: not stated."""
 
 
 class Affine(NamedTuple):
@@ -44,7 +49,7 @@ class Actuator(Described, ABC):
 
     Args:
         params: Section of each parameter: `init`, `low`, `high`, `scale`, `identify`.
-        values: Known parameters by name: `PositionPD(kp=15, kd=0.5)`; a list has one value per joint.
+        values: Parameters by name: `PositionPD(kp=15, kd=0.5)`; a list has one value per joint, None is not stated.
 
     Raises:
         ConfigError: A parameter is missing, unknown, given twice or not positive, or its bounds are invalid.
@@ -59,9 +64,11 @@ class Actuator(Described, ABC):
     inputs: ClassVar[tuple[str, ...]] = ()
     optional_inputs: ClassVar[Mapping[str, float]] = {}
     commands: ClassVar[tuple[str, ...]] = ()
+    records_none: ClassVar[bool] = False
 
-    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: Any) -> None:
+    def __init__(self, params: Sections = None, **values: Value) -> None:
         owner, sections = type(self).__name__, dict(params or {})
+        values = {name: value for name, value in values.items() if value is not None}
         for name in sections.keys() & values.keys():
             raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")
         arguments = {**sections, **values}

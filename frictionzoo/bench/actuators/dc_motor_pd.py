@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.base import Actuator, Affine, Sections, Value, register_actuator
 
 
 @register_actuator("dc_motor_pd")
@@ -26,6 +26,25 @@ class DcMotorPD(Actuator):
         "torque_limit": "torque",
         "no_load_velocity": "velocity",
     }
+
+    def __init__(
+        self,
+        params: Sections = None,
+        *,
+        kp: Value = None,
+        kd: Value = None,
+        stall_torque: Value = None,
+        torque_limit: Value = None,
+        no_load_velocity: Value = None,
+    ) -> None:
+        super().__init__(
+            params,
+            kp=kp,
+            kd=kd,
+            stall_torque=stall_torque,
+            torque_limit=torque_limit,
+            no_load_velocity=no_load_velocity,
+        )
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.base import Actuator, Affine, Sections, Value, register_actuator
 from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIVE, beyond_mujoco, force_range, saturate
 
 
@@ -26,6 +26,25 @@ class Force(Actuator):
         "force_gain": {"init": 1.0, "low": 0.1, "high": 10.0, "scale": "log", "identify": False},
         "force_offset": {"init": 0.0, "low": -1.0, "high": 1.0, "scale": 1.0, "identify": False},
     }
+
+    def __init__(
+        self,
+        params: Sections = None,
+        *,
+        force_gain: Value = None,
+        force_offset: Value = None,
+        torque_limit: Value = None,
+        torque_saturation: Value = None,
+        torque_low: Value = None,
+    ) -> None:
+        super().__init__(
+            params,
+            force_gain=force_gain,
+            force_offset=force_offset,
+            torque_limit=torque_limit,
+            torque_saturation=torque_saturation,
+            torque_low=torque_low,
+        )
 
     @property
     def has_controller(self) -> bool:

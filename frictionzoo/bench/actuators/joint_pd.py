@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.base import Actuator, Affine, Sections, Value, register_actuator
 from frictionzoo.bench.actuators.saturation import (
     ENDS,
     LIMITS,
@@ -67,11 +67,33 @@ class JointPD(Actuator):
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
     commands: ClassVar[tuple[str, ...]] = inputs
 
-    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: Any) -> None:
-        super().__init__(params, **values)
-        kp, kd = (_list_values(self.params[name].init) for name in ("kp", "kd"))
-        self.all_stiff: bool = bool((kp > 0).all())  # whether each joint has a kp above 0
-        if not self.all_stiff and (self.params["kp"].is_identified or not (kd > 0).any()):
+    def __init__(
+        self,
+        params: Sections = None,
+        *,
+        kp: Value = None,
+        kd: Value = None,
+        torque_gain: Value = None,
+        torque_limit: Value = None,
+        torque_saturation: Value = None,
+        torque_low: Value = None,
+        ctrl_low: Value = None,
+        ctrl_high: Value = None,
+    ) -> None:
+        super().__init__(
+            params,
+            kp=kp,
+            kd=kd,
+            torque_gain=torque_gain,
+            torque_limit=torque_limit,
+            torque_saturation=torque_saturation,
+            torque_low=torque_low,
+            ctrl_low=ctrl_low,
+            ctrl_high=ctrl_high,
+        )
+        stiffness, damping = (_list_values(self.params[name].init) for name in ("kp", "kd"))
+        self.all_stiff: bool = bool((stiffness > 0).all())  # whether each joint has a kp above 0
+        if not self.all_stiff and (self.params["kp"].is_identified or not (damping > 0).any()):
             raise ConfigError(
                 f"JointPD: kp={self.params['kp'].init}; expected above 0, or a known 0 with kd above 0 for commands of "
                 "velocity; take Force for commands of torque alone, RecordedPD for gains that recordings have"

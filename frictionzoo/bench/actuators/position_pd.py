@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.base import Actuator, Affine, Sections, Value, register_actuator
 
 
 @register_actuator("position_pd")
@@ -11,6 +11,9 @@ class PositionPD(Actuator):
     """Embedded position controller: torque = kp (ctrl - qpos) - kd qvel, with the desired position ctrl."""
 
     dimensions: ClassVar[Mapping[str, str]] = {"kp": "stiffness", "kd": "damping"}
+
+    def __init__(self, params: Sections = None, *, kp: Value = None, kd: Value = None) -> None:
+        super().__init__(params, kp=kp, kd=kd)
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.base import Actuator, Affine, Sections, Value, register_actuator
 from frictionzoo.bench.actuators.joint_pd import GAIN
 from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIONS, POSITIVE, saturate, within_range
 
@@ -28,6 +28,27 @@ class RecordedPD(Actuator):
     inputs: ClassVar[tuple[str, ...]] = ("kp", "kd", "ctrl_velocity", "ctrl_torque")
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
     commands: ClassVar[tuple[str, ...]] = inputs
+
+    def __init__(
+        self,
+        params: Sections = None,
+        *,
+        torque_gain: Value = None,
+        torque_limit: Value = None,
+        torque_saturation: Value = None,
+        torque_low: Value = None,
+        ctrl_low: Value = None,
+        ctrl_high: Value = None,
+    ) -> None:
+        super().__init__(
+            params,
+            torque_gain=torque_gain,
+            torque_limit=torque_limit,
+            torque_saturation=torque_saturation,
+            torque_low=torque_low,
+            ctrl_low=ctrl_low,
+            ctrl_high=ctrl_high,
+        )
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.base import Actuator, Affine, Sections, Value, register_actuator
 
 
 @register_actuator("voltage_servo")
@@ -29,6 +29,17 @@ class VoltageServo(Actuator):
         "duty_limit": "1",
     }
     inputs: ClassVar[tuple[str, ...]] = ("gain", "supply", "enable")
+
+    def __init__(
+        self,
+        params: Sections = None,
+        *,
+        kt_over_r: Value = None,
+        kt2_over_r: Value = None,
+        duty_gain: Value = None,
+        duty_limit: Value = None,
+    ) -> None:
+        super().__init__(params, kt_over_r=kt_over_r, kt2_over_r=kt2_over_r, duty_gain=duty_gain, duty_limit=duty_limit)
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
