@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from frictionzoo.api.design import design_recording
     from frictionzoo.api.drift import drift
     from frictionzoo.api.identified import Identified
+    from frictionzoo.api.inspected import inspect
     from frictionzoo.api.library import compare, free, identify, law, list_models, load, read, tied
     from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
     from frictionzoo.bench.actuators.force import Force
@@ -55,6 +56,7 @@ __all__ = [
     "drift",
     "free",
     "identify",
+    "inspect",
     "law",
     "list_models",
     "load",
@@ -82,6 +84,7 @@ _HOMES = {
     "Split": "frictionzoo.data.split",
     "design_recording": "frictionzoo.api.design",
     "drift": "frictionzoo.api.drift",
+    "inspect": "frictionzoo.api.inspected",
     "check_model": "frictionzoo.models.contract",
     "rollout": "frictionzoo.simulation.differentiable",
     "spread": "frictionzoo.result.comparison.spread",

@@ -1,5 +1,6 @@
 """`python -m frictionzoo.inspect`: findings in words, JSON against its schema, the page, and the command itself."""
 
+import inspect
 import json
 import os
 import re
@@ -19,8 +20,10 @@ from helpers.html_pages import HOSTILE, Page
 from helpers.recordings import make_recording, read_sts3215, simulate_servo
 from helpers.write_logs import write_csv
 
+import frictionzoo as fz
 from frictionzoo.cli.inspect import inspect_data, main
 from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.data.files import Files
 from frictionzoo.data.recording import Recording
@@ -195,6 +198,36 @@ def test_the_verdict_names_problems_and_those_that_no_option_solves(robot):
     still = survey_recordings("still", [swing(qpos=STILL)])
     assert "Excitation" in judge(still).partition("Not solved by an option: ")[2]
     assert "No problems" in judge(survey_recordings("swings", [swing()]))
+
+
+def test_python_inspects_what_the_command_does(tmp_path, call, monkeypatch):
+    write_csv(tmp_path / "a.csv", {"time": TIME, "qpos": np.sin(3 * TIME), "ctrl": np.sin(3 * TIME)})
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("conftest.main", main)
+    finished = call("data=files", "data.train=[a.csv]", "hydra.run.dir=command")
+    checked = fz.inspect(fz.read("a.csv"))
+    checked.save("python")
+    assert finished.out.startswith(repr(checked)) and "\nfiles: " not in repr(checked)
+    assert [finding.title for finding in checked.findings] == [row["title"] for row in checked.survey["findings"]]
+    command, python = (json.loads((tmp_path / name / "inspect.json").read_text()) for name in ("command", "python"))
+    assert python == command and (tmp_path / "python" / "inspect.html").exists()
+
+
+def test_a_bench_names_the_joints_of_logs_in_memory(leg):
+    slow, fast = 0.5 * np.sin(2 * TIME), np.sin(3 * TIME)
+    both = np.stack([slow, fast], 1)
+    swapped = fz.read({"time": TIME, "q_knee": fast, "q_hip": slow, "cmd_knee": fast, "cmd_hip": slow})
+    for logs in (swapped, Log("log", TIME, both, 0 * both, both, "", True)):
+        survey = validate(fz.inspect(logs, leg()).survey)
+        assert {joint["name"]: round(joint["position"][1], 1) for joint in survey["joints"]} == {"hip": 0.5, "knee": 1}
+        assert survey["units"] == {"position": "rad", "velocity": "rad/s"}
+    one = fz.read({"time": TIME, "qpos": fast, "ctrl": fast})
+    with pytest.raises(LogError, match="qpos has 1 columns, expected 2"):
+        fz.inspect(one, leg())
+    with pytest.raises(ConfigError, match=r"^bench: str, expected a Bench"):
+        inspect.unwrap(fz.inspect)(one, "stand.xml")
+    with pytest.raises(LogError, match="logs: none"):
+        fz.inspect([])
 
 
 def test_every_field_of_the_schema_is_described():

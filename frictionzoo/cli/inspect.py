@@ -18,7 +18,7 @@ from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, 
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra, resolve
 from frictionzoo.core.errors import ConfigError, FrictionzooError
-from frictionzoo.core.output import claim, write_json
+from frictionzoo.core.output import claim
 from frictionzoo.core.telling import say
 from frictionzoo.data.source import Source
 
@@ -48,24 +48,23 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None, options: S
         FrictionzooError: The input is at fault, or a file cannot be written.
     """
     # Imported late: neither --help nor a mistake waits for it.
-    from frictionzoo.diagnostics.survey import list_recordings, put_in_order, survey_recordings
-    from frictionzoo.report.inspection_page import write_page
+    from frictionzoo.api.inspected import FILES, Inspected
+    from frictionzoo.diagnostics.survey import list_recordings
     from frictionzoo.report.inspection_terminal import summarise
 
     data = resolve(config.data)
     source, joints, joint_type = build(data, Source), (), None
     if bench is not None:
         source, joints, joint_type = source.for_joints(bench.joints, bench.passive), bench.joints, bench.joint_type
-    with claim(folder, "inspection", ("inspect.html", "inspect.json")):
-        recordings, names = put_in_order(list_recordings(source), joints)
-        survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type, names)
+    with claim(folder, "inspection", FILES):  # an unusable output folder raises before the work
+        inspected = Inspected.of(str(data.get("name", "data")), list_recordings(source), joints, joint_type)
+        survey = inspected.survey
         survey["findings"] = [_settle(finding, config) for finding in survey["findings"]]
         doubtful = [finding for finding in survey["findings"] if finding["state"] in ("caution", "bad")]
         options_to_set = [finding["option"] for finding in doubtful if finding["option"]]
         suggested = dict.fromkeys(option for option in options_to_set if not option.endswith("=..."))
         command = shlex.join(["python", "-m", "frictionzoo.run", *options, *suggested])
-        write_page(folder / "inspect.html", survey, recordings, command)
-        write_json(folder / "inspect.json", survey)
+        inspected.save(folder, command)
     return summarise(survey, folder, command)
 
 

@@ -49,10 +49,11 @@ def list_recordings(source: Any) -> list[Recording]:
     Raises:
         LogError: The recordings cannot be read.
     """
-    return source.recordings() if hasattr(source, "recordings") else [_as_recording(log) for log in source.load().logs]
+    return source.recordings() if hasattr(source, "recordings") else [as_recording(log) for log in source.load().logs]
 
 
-def _as_recording(log: Log) -> Recording:
+def as_recording(log: Log) -> Recording:
+    """Return a log as a recording."""
     signals = {"qpos": log.qpos, "qvel": log.qvel, "ctrl": log.ctrl, **log.extras}
     return Recording(log.name, log.time, signals, log.metadata, log.sha256, log.simulated, columns=log.columns)
 

@@ -16,8 +16,8 @@ STATES = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
 MARKS = {"good": " ", "note": "i", "caution": "!", "bad": "x"}  # in the table of joints
 
 
-def summarise(survey: Mapping[str, Any], folder: Path, command: str = "") -> str:
-    """Summarise a data set: quantities, findings, verdict, folder of the files, and the `command` to run next.
+def summarise(survey: Mapping[str, Any], folder: Path | None, command: str = "") -> str:
+    """Summarise a data set: quantities, findings, verdict, folder of its files if any, and the `command` to run next.
 
     Several joints have one row each, with the results of the checks in which they differ.
     """
@@ -38,7 +38,7 @@ def summarise(survey: Mapping[str, Any], folder: Path, command: str = "") -> str
         *tables,
         "\n".join(_tell(findings, brief=len(survey["joints"]) > 1)),
         fill(judge(survey), _width()),
-        f"files: {folder}" + (f"\nnext:\n  {command}" if command else ""),
+        *([f"files: {folder}" + (f"\nnext:\n  {command}" if command else "")] if folder else []),
     ]
     return "\n\n".join(blocks)
 

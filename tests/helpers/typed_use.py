@@ -25,6 +25,7 @@ def identify(folder: str) -> list[str]:
     """Recordings to results."""
     logs: fz.Logs = fz.read("a.csv", {"time": np.arange(3.0)}, clean=fz.Cleaning(step=0.002), units={"time": "ms"})
     first: fz.Log = next(iter(logs))
+    doubts = [finding.text for finding in fz.inspect(logs).findings if finding.doubtful]
     bench = fz.Bench("stand.xml", joint="shaft", actuator=fz.PositionPD(kp=15, kd=0.5))
     others = [fz.Force(force_gain=1.2, force_offset=0.0), fz.DcMotorPD, fz.VoltageServo]
     fit: fz.Identified = fz.identify(
@@ -48,7 +49,7 @@ def identify(folder: str) -> list[str]:
     )
     best = compared.recommended or fz.load(folder)
     told = [str(best), armature.unit, f"{armature.value} {armature.interval} {error} {written.target} {known} {others}"]
-    return told + compared.ranking
+    return told + compared.ranking + doubts
 
 
 def roll_out(bench: fz.Bench, measured: torch.Tensor, ctrl: torch.Tensor) -> torch.nn.Module:
