@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from frictionzoo.api.identified import Identified
     from frictionzoo.api.inspected import inspect
     from frictionzoo.api.library import compare, free, identify, law, list_models, load, read, tied
+    from frictionzoo.api.logs import Logs
     from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
     from frictionzoo.bench.actuators.force import Force
     from frictionzoo.bench.actuators.joint_pd import JointPD
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from frictionzoo.core.params import Param, Parameter
     from frictionzoo.core.state import DriveState, FrictionTerms
     from frictionzoo.data.clean import Cleaning
-    from frictionzoo.data.logs import Logs
     from frictionzoo.data.split import Split
     from frictionzoo.models.base import FrictionModel
     from frictionzoo.models.contract import check_model
@@ -79,7 +79,7 @@ _HOMES = {
     "Compared": "frictionzoo.api.compared",
     "Identified": "frictionzoo.api.identified",
     "Log": "frictionzoo.core.log",
-    "Logs": "frictionzoo.data.logs",
+    "Logs": "frictionzoo.api.logs",
     **dict.fromkeys(("Param", "Parameter"), "frictionzoo.core.params"),
     "Split": "frictionzoo.data.split",
     "design_recording": "frictionzoo.api.design",

@@ -78,6 +78,26 @@ def test_a_free_value_is_identified_and_a_tied_one_is_shared() -> None:
     assert {"mujoco_default", "neural_friction"} <= {*fz.list_models()} and fz.law(fz.list_models()[0])
 
 
+def test_logs_are_plotted_by_joint(leg: Callable[..., fz.Bench]) -> None:
+    time = 0.01 * np.arange(200)
+    hip, knee = np.sin(3 * time), np.cos(5 * time)
+    logs = fz.read({"time": time, "q_knee": knee, "q_hip": hip, "cmd_hip": 2 * hip, "cmd_knee": 2 * knee})
+    for figure, order, unit in ((logs.plot(), (knee, hip), "rad or m"), (logs.plot(0, leg()), (hip, knee), "rad")):
+        labels = [axes.get_ylabel() for axes in figure.axes[::2]]
+        velocity = unit.replace("rad", "rad/s").replace("m", "m/s")
+        assert labels == [f"position [{unit}]", f"velocity [{velocity}]", "command [unit of ctrl]"]
+        for joint, expected in enumerate(order):
+            position, speed, command = (axes.lines[0].get_ydata() for axes in figure.axes[joint::2])
+            np.testing.assert_allclose(position, expected)
+            np.testing.assert_allclose(command, 2 * expected)
+            assert np.corrcoef(speed, np.gradient(expected))[0, 1] > 0.99
+    assert [axes.get_title(loc="left") for axes in logs.plot(0, leg()).axes[:2]] == ["hip", "knee"]
+    with pytest.raises(ConfigError, match=r"^number=1: expected 0 to 0"):
+        fz.Logs.of(next(iter(logs))).plot(1)
+    with pytest.raises(BenchError, match="qpos has 1 columns, expected 2 for the joints hip, knee"):
+        fz.read({"time": time, "qpos": hip, "ctrl": hip}).plot(0, leg())
+
+
 def test_benches_laws_and_logs_show_their_values() -> None:
     actuator = fz.PositionPD(kp=20, kd=1.5)
     assert repr(actuator) == "PositionPD(kp=20, kd=1.5)"

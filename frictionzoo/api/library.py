@@ -12,6 +12,7 @@ import numpy as np
 from frictionzoo.api.compared import Compared
 from frictionzoo.api.hub import PREFIX, fetch_card
 from frictionzoo.api.identified import Identified
+from frictionzoo.api.logs import Logs as PlottedLogs
 from frictionzoo.bench import Bench, Robot
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_settings, list_choices
@@ -77,7 +78,7 @@ def read(
     payload: Sequence[Any] = (),
     clean: Cleaning = AS_IT_IS,
     origin: str | None = None,
-) -> Logs:
+) -> PlottedLogs:
     """Read recordings of any `data=files` format as logs in SI units.
 
     Args:
@@ -102,7 +103,7 @@ def read(
         origin: `hardware` or `simulated`; None: not stated.
 
     Returns:
-        The logs; each lists its `repairs`.
+        The logs, each with its `repairs`; `plot` draws one.
 
     Raises:
         LogError: A recording cannot be read, or lacks a column of `columns`.
@@ -118,7 +119,7 @@ def read(
     options = {"format": format, "columns": columns, "units": units, "registers": registers, "sign": sign}
     options |= {"fields": fields, "where": where}
     options |= {"fields_from_name": fields_from_name, "exclude": exclude, "inputs": inputs, "payload": payload}
-    return Files(name, paths, tests, clean=clean, origin=origin, **options).read(tables)
+    return PlottedLogs.of(Files(name, paths, tests, clean=clean, origin=origin, **options).read(tables))
 
 
 @_naming_arguments()

@@ -39,6 +39,7 @@ def identify(folder: str) -> list[str]:
         loop={"progress": False},
     )
     fit.plot()
+    logs.plot(0, bench)
     fit.save(folder)
     written = fit.export("mjcf", "drive.xml", timestep=0.001)
     armature = fit.parameters["bench.armature"]
