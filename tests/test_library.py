@@ -359,6 +359,27 @@ def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
         fz.PositionPD({"kp": {}}, kp=1, kd=1)
 
 
+def test_parameters_are_a_table_with_a_row_per_joint(finished_run: Callable) -> None:
+    pytest.importorskip("pandas")
+    fit = fz.load(finished_run("mujoco_default")[0])
+    table = fit.to_frame()
+    assert [*table.columns] == ["name", "joint", "value", "low", "high", "unit", "identified"]
+    assert [*table["name"]] == [*fit.parameters] and {*table["joint"]} == {*fit.bench.joints}
+    for row in table.itertuples(index=False):
+        expected = fit.parameters[row.name]
+        assert (row.value, row.unit, row.identified) == (expected.value[0], expected.unit, expected.identified)
+        np.testing.assert_equal([row.low, row.high], expected.interval[0])
+    assert table["identified"].any() and table["low"].notna().any()
+
+
+def test_a_table_without_pandas_is_refused(finished_run: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = fz.load(finished_run("mujoco_default")[0])
+    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.delitem(sys.modules, "pandas", raising=False)
+    with pytest.raises(ConfigError, match=r"^to_frame: pandas not found, .* pip install pandas$"):
+        fit.to_frame()
+
+
 def blocks() -> list[str]:
     """The code of the documentation's page."""
     return re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(), re.M | re.S)

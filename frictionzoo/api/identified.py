@@ -1,22 +1,28 @@
 """`Identified`: the drive that `identify` and `load` return, with its plots, files and exports."""
 
 import copy
+import importlib.util
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import safetensors.torch
 from matplotlib.figure import Figure
 
 from frictionzoo import __version__
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically, write_json
 from frictionzoo.export.base import Written
 from frictionzoo.result.curves import write_curves
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.read_back import LAW
 from frictionzoo.result.types import Result
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports] - optional
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,6 +87,27 @@ class Identified(FittedDrive):
 
         self.recorded  # noqa: B018 - raises for a card
         return draw_rollout(self.result, self.curves)
+
+    def to_frame(self) -> "pandas.DataFrame":
+        """Return the physical parameters of bench and friction model as a table, one row per joint.
+
+        Columns: `name` (`bench.armature`), `joint`, `value`, ends `low` and `high` of the 95 % interval (NaN: none),
+        `unit`, `identified`.
+
+        Raises:
+            ConfigError: pandas is not installed.
+        """
+        if importlib.util.find_spec("pandas") is None:
+            raise ConfigError("to_frame: pandas not found, expected an installed package; pip install pandas")
+        import pandas  # pyright: ignore[reportMissingImports]
+
+        rows = [
+            (name, joint, row.value, *(row.interval or (np.nan, np.nan)), parameter.unit, row.identified)
+            for name, parameter in self.parameters.items()
+            for row in parameter.by_joint
+            for joint in row.joints
+        ]
+        return pandas.DataFrame(rows, columns=["name", "joint", "value", "low", "high", "unit", "identified"])
 
     def export(self, target: str, path: str | Path, **options: str | float | int | Mapping[str, Any]) -> Written:
         """Write the drive for another program, as `python -m frictionzoo.export` does.
