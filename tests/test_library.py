@@ -360,7 +360,6 @@ def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
 
 
 def test_parameters_are_a_table_with_a_row_per_joint(finished_run: Callable) -> None:
-    pytest.importorskip("pandas")
     fit = fz.load(finished_run("mujoco_default")[0])
     table = fit.to_frame()
     assert [*table.columns] == ["name", "joint", "value", "low", "high", "unit", "identified"]
