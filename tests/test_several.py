@@ -16,7 +16,7 @@ from frictionzoo.fit import LevenbergMarquardt, Several
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.contained import Part
 from frictionzoo.fit.motion import Recordings
-from frictionzoo.fit.normal_equations import NormalEquations, descend
+from frictionzoo.fit.normal_equations import NormalEquations, bounded_step, descend
 from frictionzoo.fit.several import _along, _is_near
 from frictionzoo.fit.space import Box
 from frictionzoo.models import model_names
@@ -170,3 +170,19 @@ def test_coordinates_without_effect_do_not_move_with_a_delay(rounding: float) ->
         np.testing.assert_allclose(np.delete(direction, [0, 2]), expected, rtol=1e-5)
         assert direction[0] == 1.0 and np.isfinite(direction).all()
         assert rounding > 0 or direction[2] == 0.0
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-26, -1e-18, 1e-300])
+def test_coordinates_without_effect_take_no_step(rounding: float) -> None:
+    """Of a coordinate that moves nothing, gradient and curvature are rounding, and their ratio anything."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        jacobian = rng.normal(size=(30, 6))
+        jacobian[:, 2] = 0.0
+        gradient, hessian = jacobian.T @ rng.normal(size=30), jacobian.T @ jacobian
+        hessian[2, 2], gradient[2] = rounding, 1e-17 * rng.normal()
+        step = bounded_step(gradient, hessian, np.full(6, -10.0), np.full(6, 10.0))
+        expected = -np.linalg.solve(np.delete(np.delete(hessian, 2, 0), 2, 1), np.delete(gradient, 2))
+        np.testing.assert_allclose(np.delete(step, 2), expected, rtol=1e-6)
+        assert step[2] == 0.0
+    assert (bounded_step(np.zeros(2), np.zeros((2, 2)), -np.ones(2), np.ones(2)) == 0).all()

@@ -74,12 +74,20 @@ def bounded_step(
 ) -> Float[np.ndarray, "coordinates"]:
     """Return the step to the minimum of a quadratic within bounds, exactly on a bound where it is active.
 
+    Coordinates without effect do not move.
+
     Source: P. Stark, R. Parker, "Bounded-Variable Least-Squares: an Algorithm and Applications", 1995.
     """
-    scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
-    residual, slopes = compress(NormalEquations(0.0, gradient, hessian), 1.0)
+    curvature, step = np.diag(hessian), np.zeros(len(gradient))
+    moves = curvature > NOTHING * curvature.max(initial=0.0)  # rounding alone would take others to a bound
+    if not moves.any():
+        return step
+    scale = np.sqrt(curvature[moves])
+    residual, slopes = compress(NormalEquations(0.0, gradient[moves], hessian[np.ix_(moves, moves)]), 1.0)
+    low, high = low[moves], high[moves]
     solution = scipy.optimize.lsq_linear(slopes / scale, -residual, (low * scale, high * scale), "bvls")
-    return np.where(solution.active_mask < 0, low, np.where(solution.active_mask > 0, high, solution.x / scale))
+    step[moves] = np.where(solution.active_mask < 0, low, np.where(solution.active_mask > 0, high, solution.x / scale))
+    return step
 
 
 class Damping(NamedTuple):

@@ -249,8 +249,6 @@ class Pilot:
         """Return the step of these coordinates to the minimum within their bounds; raise FitError if not finite."""
         if not equations.finite:
             raise FitError("the loss is not finite at the end of the fit")
-        if not len(places):
-            return np.zeros(0)
         hessian = equations.hessian[np.ix_(places, places)] * (1 + DAMPING.least * np.eye(len(places)))
         low, high = (side[places] - vector[places] for side in self.space.box[1:])
         return bounded_step(equations.gradient[places], hessian, low, high)
