@@ -47,7 +47,7 @@ class Compared:
 
     @property
     def recommended(self) -> Identified | None:
-        """The simplest drive within noise of the best; None if all test rollouts diverged."""
+        """The simplest drive within noise of the best, identifiable ones first; None if all test rollouts diverged."""
         recommendation = self.record.recommendation
         return self.drives[recommendation.run] if recommendation else None
 

@@ -34,8 +34,9 @@ def check_order(comparison: Comparison) -> Finding:
     pairs = _pairs_with_best(comparison)
     close = [label for label in others if pairs[label].verdict == "noise"]
     if close:
-        text = f"Within noise of the best run, {best}: {name_some(close)}. These data show no relevant difference"
-        return Finding("note", "Ranking", f"{text}; the simplest run is recommended.")
+        text = f"Within noise of the best run, {best}: {name_some(close)}. These data show no relevant difference; "
+        text += "the recommended run is the simplest, identifiable ones first."
+        return Finding("note", "Ranking", text)
     text = f"{best} is better than every other run by more than noise. {_say_next(comparison)}"
     return Finding("good", "Ranking", text)
 

@@ -102,7 +102,8 @@ def _describe(comparison: Comparison) -> str:
         rf"({evaluation.rollouts} on test data); $\sigma$: standard deviation over the rollouts. Change: test error "
         rf"against {against}. Fit: time without compilation. Bold: lowest test error; {NOISE}: within noise of it (the "
         rf"95~\% interval of the paired difference contains~0, or the difference is below {100 * MATTERS:g}~\% of the "
-        rf"error); {RECOMMENDED}: recommended (fewest values within noise)."
+        rf"error); {RECOMMENDED}: recommended (fewest values within noise; models whose parameters "
+        "are all identifiable come first)."
     )
 
 

@@ -96,20 +96,29 @@ def _count_identified(result: Result) -> int:
 
 
 def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> rows.Recommendation | None:
-    """Return the simplest run within noise of the best, with reason and doubts; None if all test rollouts diverged."""
+    """Return the recommended run with reason and doubts; None if all test rollouts diverged."""
     best = ranked[0]
     if best.result.metrics.test.position_mae is None:
         return None
     close = [best, *(run for run in ranked[1:] if pairs[run.label, best.label].verdict == "noise")]
-    chosen = min(close, key=lambda run: (_count_identified(run.result), _rank(run)))
-    labelled = [pair for parameter in chosen.result.parameters for pair in label_values(parameter).items()]
+    chosen = min(close, key=lambda run: (_is_doubtful(run.result), _count_identified(run.result), _rank(run)))
     return rows.Recommendation(
         run=chosen.label,
         best=best.label,
-        unidentifiable=[label for label, row in labelled if row.identifiable is False],
+        unidentifiable=_list_unidentifiable(chosen.result),
         not_identified=chosen.result.not_identified,
         reason=_explain(chosen, best, close, pairs),
     )
+
+
+def _list_unidentifiable(result: Result) -> list[str]:
+    labelled = [pair for parameter in result.parameters for pair in label_values(parameter).items()]
+    return [label for label, row in labelled if row.identifiable is False]
+
+
+def _is_doubtful(result: Result) -> bool:
+    """Return whether the data do not determine all parameters; those of a network are never determined."""
+    return bool(_list_unidentifiable(result) or result.network)
 
 
 def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
@@ -123,13 +132,17 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
         text = (
             f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {count}, is within noise of it "
             f"(difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over {rollouts} "
-            f"paired rollouts; below {100 * MATTERS:g} % of the error counts as noise). No simpler run is within noise"
+            f"paired rollouts; below {100 * MATTERS:g} % of the error counts as noise)"
         )
     elif len(close) > 1:
         others = " and ".join(run.label for run in close[1:])
-        text = f"{error}, the lowest; {others} {'are' if len(close) > 2 else 'is'} within noise of it but not simpler"
+        text = f"{error}, the lowest; {others} {'are' if len(close) > 2 else 'is'} within noise of it"
     else:
         text = f"{error}, the lowest, and all other runs are worse by more than noise over {rollouts} paired rollouts"
+    if len(close) > 1:
+        simpler = [run.label for run in close if _count_identified(run.result) < values]
+        names = ", ".join(simpler)
+        text += f". Fewer values, but not all identifiable: {names}" if names else ". No simpler run is within noise"
     if chosen.result.network:
         text += ". It is a network: do not interpret its physical parameters"
     doubtful = name_unidentifiable(chosen.result.parameters)

@@ -40,7 +40,10 @@ class CommonRollouts(Record):
 
 
 class Recommendation(Record):
-    """The recommended run: the simplest one within noise of the best."""
+    """The recommended run: among the runs within noise of the best, the one with the fewest identified values.
+
+    Runs whose parameters are all identifiable come first; a network counts as not identifiable.
+    """
 
     run: str
     """Label of the recommended run."""
