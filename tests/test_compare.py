@@ -195,11 +195,95 @@ def test_options_that_differ_are_listed(zoo, save):
 
 
 def test_runs_of_one_model_are_told_apart(save):
-    save("0_a", "law", HARD, settings__seed=0)
-    folder = save("1_a", "law", HARD, settings__seed=1).parent
-    assert [run.label for run in read_runs([folder])[0]] == ["law seed=0", "law seed=1"]
-    save("2_a", "law", HARD, settings__seed=1)
+    save("0_a", "law", HARD, settings__segments__length=20)
+    folder = save("1_a", "law", HARD, settings__segments__length=[5, 9], settings__loss__robust=None).parent
+    labels = [run.label for run in read_runs([folder])[0]]
+    assert labels == ["law, segments.length 20", "law, segments.length 5 9"]
+    save("2_a", "law", HARD, settings__segments__length=20)
     assert [run.label for run in read_runs([folder])[0]] == ["law (0_a)", "law (1_a)", "law (2_a)"]
+
+
+@pytest.fixture
+def save_seeds(save):
+    """Writes runs of a model that differ only in the seed: errors of the test rollouts by seed, and in training."""
+
+    def save_seeds(law, errors, training=(0.3, 0.1, 0.2)):
+        for seed, (error, train) in enumerate(zip(errors, training, strict=True)):
+            options = {"seed": seed, "settings__seed": seed, "settings__model__seed": seed}
+            options |= {"settings__evaluation__seed": 0, "metrics__train__position_mae": train}
+            folder = save(f"{law}_{seed}", law, error, **options)
+        return folder.parent
+
+    return save_seeds
+
+
+def test_seeds_are_one_row_with_mean_and_standard_deviation(zoo, save_seeds):
+    save_seeds("net", [HARD, HARD + 0.003, HARD + 0.006])
+    comparison = compare(zoo)
+    (row,) = (run for run in comparison["runs"] if run["model"] == "net")
+    assert row["label"] == "net" and len(comparison["runs"]) == 5
+    assert [(row["option"], row["values"]["net"]) for row in comparison["differences"]] == [("seed", [0, 1, 2])]
+    assert row["test"]["position_mae"] == pytest.approx(HARD.mean() + 0.003)
+    assert row["train"]["position_mae"] == pytest.approx(0.2)
+    np.testing.assert_allclose(row["rollout_mae"], HARD + 0.003)
+    seeds = row["seeds"]
+    assert seeds["test_std"] == pytest.approx(0.003) and not seeds["deterministic"]
+    assert seeds["values"] == [0, 1, 2] and seeds["runs"] == ["net_1", "net_2", "net_0"]
+    assert row["run"] == "net_1" and row["settings"]["seed"] == 1  # the lowest training error
+    end = comparison["by_horizon"]["position_mae"]["net"][-1]
+    assert end == pytest.approx((HARD[0] + 0.003) / 2, rel=1e-9)
+    jsonschema.Draft202012Validator(read_schema()).validate(to_json(comparison))
+
+
+def test_the_interval_contains_the_spread_of_the_seeds(save, save_seeds):
+    save("0_law", "law", HARD)
+    folder = save_seeds("steady", [HARD + 0.005 + step for step in (-1e-4, 0, 1e-4)])
+    save_seeds("random", [HARD + 0.005 + step for step in (-9e-3, 0, 9e-3)])
+    pairs = {pair["run"]: pair for pair in compare(folder)["pairs"] if pair["other"] == "law"}
+    assert (pairs["steady"]["verdict"], pairs["random"]["verdict"]) == ("worse", "noise")
+    half = 1.96 * 9e-3 / np.sqrt(3)
+    assert pairs["random"]["high"] - pairs["random"]["mean"] == pytest.approx(half, rel=1e-6)
+
+
+def test_a_rollout_that_diverged_with_one_seed_counts(zoo, save_seeds):
+    save_seeds("net", [HARD / 9, np.where(np.arange(ROLLOUTS) == 3, np.nan, HARD / 9), HARD / 9])
+    row = compare(zoo)["runs"][-1]
+    assert (row["label"], row["test"]["diverged"]) == ("net", 1)
+
+
+def test_a_seed_is_averaged_once_and_only_with_equal_options(save, save_seeds):
+    folder = save_seeds("net", [HARD] * 3)
+    save("again", "net", HARD, seed=1, settings__seed=1)
+    save("other", "net", HARD, seed=3, settings__seed=3, settings__model__seed=3, settings__dtype=64)
+    runs = compare(folder)["runs"]
+    assert sorted(len(run["seeds"]["values"]) if run["seeds"] else 1 for run in runs) == [1, 1, 3]
+
+
+def test_automatic_settings_may_depend_on_the_seed(save):
+    for seed in (0, 1):
+        chosen = {"option": "segments.length", "value": 5 + seed, "reason": "found in pilot fits"}
+        options = {"seed": seed, "settings__seed": seed, "settings__segments__length": 5 + seed}
+        folder = save(f"{seed}_law", "law", HARD, **options, recipe=[chosen]).parent
+    assert [run["seeds"]["values"] for run in compare(folder)["runs"]] == [[0, 1]]
+    save("2_law", "law", HARD, seed=2, settings__seed=2, settings__segments__length=9)  # given
+    assert len(compare(folder)["runs"]) == 2
+
+
+def test_equal_results_of_all_seeds_are_one_deterministic_run(save, save_seeds, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("frictionzoo.report.comparison_plots.write_figures", lambda *_: None)
+    save_seeds("law", [HARD] * 3, training=[0.1] * 3)
+    save_seeds("net", [HARD + 0.01, HARD + 0.012, HARD + 0.014])
+    folder = save("2_other", "other", HARD + 0.1).parent
+    main([str(folder)])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("5 runs on ")  # one, three, and one
+    assert [line.split()[0] for line in lines[3:6]] == ["law", "net", "other"]
+    page = (folder / "comparison" / "comparison.html").read_text()
+    table = (folder / "comparison" / "table.tex").read_text()
+    texts = {"".join(lines): "3 seeds +- 0.002", page: "3 seeds ± 0.002", table: r"3 seeds $\pm$ 2.00"}
+    for text, seeds in texts.items():
+        assert seeds in text and "seed=" not in text
+        assert text.count("& deterministic &" if text is table else "deterministic") == 1
 
 
 def test_folders_may_be_runs_and_sweeps_and_count_once(zoo):

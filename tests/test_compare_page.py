@@ -181,7 +181,7 @@ def test_no_absolute_path_is_on_the_page(result, tmp_path):
         (run.folder / ".hydra").mkdir(parents=True)
         (run.folder / ".hydra" / "overrides.yaml").write_text(json.dumps([f"bench.mjcf={home}/stand{i}.xml"]))
     labelled = gather(runs)
-    assert [run.label for run in labelled] == [f"baseline bench.mjcf=stand{i}.xml" for i in range(2)]
+    assert [run.label for run in labelled] == [f"baseline, bench.mjcf stand{i}.xml" for i in range(2)]
     failure = Failure("7_neural_friction", "neural_friction", f"{home}/a.csv: not finite")
     source, _ = show(tmp_path / "comparison.html", labelled, [failure])
     shown = Page(source).text + json.dumps(Page(source).elements) + json.dumps(read_data(source))

@@ -3,10 +3,11 @@
 import re
 
 import pytest
+from conftest import put
 
 from frictionzoo.report.latex import escape, tabulate_latex
 from frictionzoo.result.comparison.record import compare_runs
-from frictionzoo.result.comparison.runs import Failure
+from frictionzoo.result.comparison.runs import Failure, gather
 
 LABELS = ("stribeck", "smooth", "baseline")
 HOSTILE = r"""a_b $x$ \input{/etc/hosts} 50% & {#1} ~^ <>| "q" [x]"""
@@ -37,7 +38,11 @@ def judge_structure(table):
     columns = len(re.search(r"\\begin\{tabular\}\{@\{\}([lr]+)@\{\}\}", code)[1])
     assert [len(cells_of(row)) for row in rows_of(code)] == [columns] * len(rows_of(code))
     heads = code.split(r"\toprule")[1].split(r"\midrule")[0]
-    heads = [re.sub(r"\\multicolumn\{2\}", "&", line) for line in heads.splitlines() if line.endswith(r"\\")]
+    heads = [
+        re.sub(r"\\multicolumn\{(\d)\}", lambda wide: "&" * (int(wide[1]) - 1), line)
+        for line in heads.splitlines()
+        if line.endswith(r"\\")
+    ]
     assert [len(cells_of(head)) for head in heads] == [columns, columns]
 
 
@@ -77,6 +82,18 @@ def test_best_recommended_and_equal_are_marked(comparison):
     rows = rows_of(tabulate_latex(comparison))
     assert [r"\dagger" in row for row in rows] == [False, False, False]
     assert [r"\ast" in row for row in rows] == [True, False, False]
+
+
+def test_seeds_have_a_column(make_runs):
+    runs = make_runs(["smooth", "smooth", "baseline"])
+    for seed, run in enumerate(runs):
+        put(run.result, "seed", seed)
+    comparison = compare_runs(gather(runs), [])
+    table = tabulate_latex(comparison)
+    judge_structure(table)
+    spread = 1e3 * comparison["runs"][0]["seeds"]["test_std"]
+    assert [cells_of(row)[4] for row in rows_of(table)] == [rf"2 seeds $\pm$ {spread:.2f}", ""]
+    assert "Seeds:" in table and cells_of(rows_of(table)[0])[0] == "smooth" + r"$^{\ast}$"
 
 
 def test_without_a_reference_the_caption_says_so(make_runs):

@@ -19,7 +19,7 @@ class Compared:
     Attributes:
         record: Content of `comparison.json`.
         runs: The compared runs.
-        drives: The drives by label, best first.
+        drives: The drives by label, best first; for several seeds, the drive with the lowest training error.
     """
 
     record: Comparison
@@ -36,7 +36,8 @@ class Compared:
         if not drives:
             raise RunError("drives: none, expected at least one to compare")
         runs = gather([Run(d.result.model, Path(d.folder or d.result.model), d.result, d.curves) for d in drives])
-        labelled = dict(zip((run.label for run in runs), drives, strict=True))
+        by_result = {id(drive.result): drive for drive in drives}
+        labelled = {run.label: by_result[id(run.by_seed[0].result)] for run in runs}
         record = compare_runs(runs, failures)
         return cls(record, tuple(runs), {row.label: labelled[row.label] for row in record.runs})
 

@@ -29,6 +29,7 @@ from frictionzoo.report.run_page import (
     say_command,
 )
 from frictionzoo.report.run_plots import plot_history
+from frictionzoo.report.text import count_runs, say_seeds
 from frictionzoo.result.comparison.record import FEW
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
@@ -75,6 +76,8 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         POINTS,
         comparison=comparison,
         rows=rows,
+        count=count_runs(comparison),
+        seconds=sum(member.result.timing.total for run in runs for member in run.by_seed),
         joints=tuple(comparison.joints),
         errors=list_errors_by_joint(comparison),
         worst=int(np.argmax([row.test.position_mae or 0.0 for row in comparison.runs[0].by_joint])),
@@ -133,6 +136,7 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "recommended": bool(recommendation) and recommendation.run == run.label,
         "verdict": "" if recommendation is None else VERDICTS[pair.verdict] if pair else "best",
         "pair": pair,
+        "seeds": say_seeds(entry.seeds),
         "errors": list(_list_errors(entry)),
         "correlations": correlate(run.result, run.result.joints[0]),  # shown for a single joint only
         "method": str(METHODS.get(entry.fit.method, entry.fit.method)).removeprefix("The "),
@@ -193,7 +197,9 @@ def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Fi
     """Yield the checks of a comparison, certainty of the ranking first; `runs` are ordered best first."""
     yield check_order(comparison)
     if failed := len(comparison.failures):
-        text = f"{failed} of {failed + len(comparison.runs)} jobs failed; the reasons are under Ranking."
+        text = (
+            f"{failed} of {failed + sum(len(run.by_seed) for run in runs)} jobs failed; the reasons are under Ranking."
+        )
         yield Finding("bad", "Failed jobs", text)
     yield _check_rollouts(comparison.evaluation)
     yield check_held_out(comparison.data)

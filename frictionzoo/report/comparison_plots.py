@@ -28,7 +28,7 @@ from frictionzoo.report.figure import (
 )
 from frictionzoo.report.rollouts import RUNAWAY, SimulatedDrive, draw_errors, draw_motion, say_above, say_where
 from frictionzoo.report.run_plots import COLUMNS, REPORTED
-from frictionzoo.report.text import format_digits, format_number, format_unit, say_origin, wrap
+from frictionzoo.report.text import format_digits, format_number, format_unit, say_origin, say_seeds, wrap
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
 from frictionzoo.result.comparison.types import Comparison, Pair
@@ -215,7 +215,8 @@ def _plot_errors(comparison: Comparison) -> Figure:
         marks.append(Bars(name=part, color=SOFT, **key, **shared))  # for the legend
         for i, entry in enumerate(entries):
             mean, spread = (_numbers([entry[part][key]]) for key in ("position_mae", "position_mae_std"))
-            notes = (f"{part} {_say_error(entry[part])}",)
+            seeds = say_seeds(entry.seeds) if part == "test" else ""
+            notes = (f"{part} {_say_error(entry[part])}" + (f", {seeds}" if seeds else ""),)
             bar = {"at": np.array([i + offset]), "length": mean, "spread": spread, "notes": notes}
             marks.append(Bars(**bar, **shared, **looks[entry.label]))
             ends.append(float((mean + spread)[0]))

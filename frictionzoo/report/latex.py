@@ -2,7 +2,7 @@
 
 import math
 
-from frictionzoo.report.text import say_origin
+from frictionzoo.report.text import say_origin, say_seeds
 from frictionzoo.result.comparison.statistics import MATTERS
 from frictionzoo.result.comparison.types import ComparedRun, Comparison
 
@@ -32,17 +32,18 @@ def tabulate_latex(comparison: Comparison) -> str:
     exponent = 3 * math.floor(math.log10(lowest) / 3)
     rows = [_tabulate_run(run, exponent, comparison) for run in comparison.runs]
     unit = rf"$10^{{{exponent}}}$ {comparison.unit}" if exponent else comparison.unit
+    several = any(run.seeds for run in comparison.runs)
     lines = [
         r"% needs \usepackage{booktabs}",
         r"\begin{table}",
         r"  \centering",
         rf"  \caption{{{_describe(comparison)}}}",
         r"  \label{tab:frictionzoo}",
-        r"  \begin{tabular}{@{}lrrrrr@{}}",
+        rf"  \begin{{tabular}}{{@{{}}lrr{'rr' if several else 'r'}rr@{{}}}}",
         r"    \toprule",
-        r"     & identified & \multicolumn{2}{c}{position MAE [UNIT]} & change & fit \\".replace("UNIT", unit),
-        r"    \cmidrule(lr){3-4}",
-        r"    model & values & train & test ($\sigma$) & [\%] & [s] \\",
+        rf"     & identified & \multicolumn{{{2 + several}}}{{c}}{{position MAE [{unit}]}} & change & fit \\",
+        rf"    \cmidrule(lr){{3-{4 + several}}}",
+        rf"    model & values & train & test ($\sigma$){' & seeds' if several else ''} & [\%] & [s] \\",
         r"    \midrule",
         *(f"    {row}" for row in rows),
         r"    \bottomrule",
@@ -60,6 +61,7 @@ def escape(text: str) -> str:
 
 
 def _tabulate_run(run: ComparedRun, exponent: int, comparison: Comparison) -> str:
+    several = any(other.seeds for other in comparison.runs)
     train, test = (_scale(run[part].position_mae, exponent) for part in ("train", "test"))
     if test != NONE:
         test = f"{test} ({_scale(run.test.position_mae_std, exponent)})"
@@ -69,6 +71,7 @@ def _tabulate_run(run: ComparedRun, exponent: int, comparison: Comparison) -> st
         str(run.identified),
         train,
         rf"\textbf{{{test}}}" if chosen and run.label == chosen.best else test,
+        *([say_seeds(run.seeds, r"$\pm$", lambda std: _scale(std, exponent))] if several else []),
         NONE if change is None or run.label == comparison.reference else f"${100 * change:+.0f}$",
         f"{run.timing.fit:.1f}",
     ]
@@ -96,14 +99,16 @@ def _scale(error: float | None, exponent: int) -> str:
 def _describe(comparison: Comparison) -> str:
     data, evaluation, reference = comparison.data, comparison.evaluation, comparison.reference
     against = escape(reference) if reference else "the same drive identified without friction"
+    seeds = "Seeds: errors are means over the seeds, $\\pm$ standard deviation of the test error over them. "
+    seeded = any(run.seeds and not run.seeds.deterministic for run in comparison.runs)
     return (
         f"Friction models identified from {escape(data.name)} ({say_origin(data.origin)}): mean absolute error "
         f"(MAE) of the position in open-loop rollouts of {evaluation.horizon:g}~s from measured states "
-        rf"({evaluation.rollouts} on test data); $\sigma$: standard deviation over the rollouts. Change: test error "
-        rf"against {against}. Fit: time without compilation. Bold: lowest test error; {NOISE}: within noise of it (the "
-        rf"95~\% interval of the paired difference contains~0, or the difference is below {100 * MATTERS:g}~\% of the "
-        rf"error); {RECOMMENDED}: recommended (fewest values within noise; models whose parameters "
-        "are all identifiable come first)."
+        rf"({evaluation.rollouts} on test data); $\sigma$: standard deviation over the rollouts. "
+        rf"{seeds * seeded}Change: test error against {against}. Fit: time without compilation. Bold: lowest test "
+        rf"error; {NOISE}: within noise of it (the 95~\% interval of the paired difference contains~0, or the "
+        rf"difference is below {100 * MATTERS:g}~\% of the error); {RECOMMENDED}: recommended (fewest values within "
+        "noise; models whose parameters are all identifiable come first)."
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.core.telling import Rows, align, escape_all, say_percent
-from frictionzoo.report.text import escape_markdown, format_change, format_number, format_share
+from frictionzoo.report.text import count_runs, escape_markdown, format_change, format_number, format_share, say_seeds
 from frictionzoo.result.comparison.drift import Drift, say_change
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.names import merge_known
@@ -103,7 +103,7 @@ def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) ->
 
 def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: Callable[[Rows], str]) -> list[str]:
     comparison = escape_all(comparison)
-    count, doubt, recommendation = len(comparison.runs), comparison.reference_doubt, comparison.recommendation
+    count, doubt, recommendation = count_runs(comparison), comparison.reference_doubt, comparison.recommendation
     failed = "\n".join(f"failed: {failure.run}: {failure.reason}" for failure in comparison.failures)
     advice = "No recommendation: all test rollouts of all runs diverged."
     if recommendation:
@@ -175,14 +175,17 @@ def _list_runs(comparison: Comparison) -> Rows:
     best = comparison.runs[0].label
     verdicts = {pair.run: pair.verdict for pair in comparison.pairs if pair.other == best}
     judged = f"test, {evaluation.rollouts} x {evaluation.horizon:g} s [{unit}]"
-    columns = ("sigma", "change", "against best", "diverged", "fit [s]")
+    several = any(run.seeds for run in comparison.runs)
+    columns = (*(["seeds"] if several else []), "sigma", "change", "against best", "diverged", "fit [s]")
     rows: list[tuple[str, ...]] = [("model", "identified", f"train MAE [{unit}]", judged, *columns)]
     for run in comparison.runs:
         label, train, test, change = run.label, run.train, run.test, run.change.test
         rows.append(
             (
                 *(label, str(run.identified), format_number(train.position_mae)),
-                *(format_number(test.position_mae), format_number(test.position_mae_std)),
+                format_number(test.position_mae),
+                *([say_seeds(run.seeds, "+-")] if several else []),
+                format_number(test.position_mae_std),
                 "" if change is None else f"{round(100 * change):+d} %",
                 "best" if label == best else verdicts[label],
                 *(str(test.diverged), f"{run.timing.fit:.1f}"),

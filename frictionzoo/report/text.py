@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 
 from frictionzoo.core.telling import escape_controls, say_percent
+from frictionzoo.result.comparison.types import Comparison, Seeds
 
 
 def format_number(value: float | Sequence[float] | None) -> str:
@@ -36,6 +37,19 @@ def format_change(value: float | None, reference: float | None, signs: str = "âˆ
 def format_share(value: float | None, whole: float | None) -> str:
     """Format a value as a share of a whole; empty if there is nothing to compare."""
     return "" if value is None or not whole else say_percent(value / whole, digits=3)
+
+
+def count_runs(comparison: Comparison) -> int:
+    """Return the number of runs; those with the same results for all seeds count as one."""
+    seeds = [run.seeds for run in comparison.runs]
+    return sum(1 if each is None or each.deterministic else len(each.values) for each in seeds)
+
+
+def say_seeds(seeds: Seeds | None, sign: str = "Â±", write: Callable[[float], str] = "{:.2g}".format) -> str:
+    """Return the number of seeds with the standard deviation of the test error over them; empty for one seed."""
+    if seeds is None or seeds.deterministic:
+        return "deterministic" if seeds else ""
+    return f"{len(seeds.values)} seeds" + ("" if seeds.test_std is None else f" {sign} {write(seeds.test_std)}")
 
 
 def format_digits(value: float, digits: int) -> str:

@@ -1,5 +1,6 @@
 """`comparison.json`: comparison of runs; `comparison.schema.json` in this folder describes it."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -29,7 +30,7 @@ from frictionzoo.result.verdict import doubt_reference
 
 read_schema = partial(records.read_schema, "frictionzoo.result.comparison", "comparison")
 """Return the JSON schema of `comparison.json`, which documents every field."""
-SCHEMA_VERSION: Final = 6
+SCHEMA_VERSION: Final = 7
 LONGEST_LAG = 0.5  # longest lag of the residuals' autocorrelation [s]
 FEW = 8  # number of rollouts below which their interval is unreliable
 
@@ -39,14 +40,16 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Compa
     ranked = sorted(runs, key=_rank)
     counts = resample(len(runs[0].curves.test_mae))
     pairs = {
-        (worse.label, better.label): difference(worse.curves.test_mae, better.curves.test_mae, counts)
+        (worse.label, better.label): difference(
+            worse.curves.test_mae, better.curves.test_mae, counts, math.hypot(_seed_error(worse), _seed_error(better))
+        )
         for better, worse in combinations(ranked, 2)
     }
     result, test = ranked[0].result, ranked[0].result.metrics.test
     reference = next((run for run in ranked if run.result.model == "baseline"), None)
     evaluation = result.evaluation.sha256, test.horizon, test.rollouts
     # Options of the model belong to it.
-    options = differing([run.result.settings | {"engine": run.result.engine} for run in ranked], NAMED).items()
+    options = differing([run.options | {"engine": run.result.engine} for run in ranked], NAMED).items()
     labels = [run.label for run in ranked]
     comparison = rows.Comparison(
         schema_version=SCHEMA_VERSION,
@@ -82,6 +85,32 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Compa
 
 def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
     return run.curves.qpos - run.curves.measured_qpos[:, 1:]
+
+
+def _list_test_errors(run: Run) -> list[float]:
+    errors = [member.result.metrics.test.position_mae for member in run.members]
+    return [error for error in errors if error is not None]
+
+
+def _seed_error(run: Run) -> float:
+    """Return the standard error of the test error due to the seeds; 0 for one seed."""
+    errors = _list_test_errors(run)
+    return float(np.std(errors, ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else 0.0
+
+
+def _describe_seeds(run: Run) -> rows.Seeds | None:
+    if not run.members:
+        return None
+    errors = _list_test_errors(run)
+    first, *others = ([member.curves.train_mae, member.curves.test_mae] for member in run.members)
+    return rows.Seeds(
+        values=run.options["seed"],
+        runs=[member.folder.name for member in run.members],
+        deterministic=all(
+            np.array_equal(*pair, equal_nan=True) for each in others for pair in zip(first, each, strict=True)
+        ),
+        test_std=float(np.std(errors, ddof=1)) if len(errors) > 1 else None,
+    )
 
 
 def _rank(run: Run) -> tuple[int, float, int]:
@@ -168,6 +197,7 @@ def _describe(run: Run, reference: Run | None) -> rows.ComparedRun:
     return rows.ComparedRun(
         label=run.label,
         run=run.folder.name,
+        seeds=_describe_seeds(run),
         model=result.model,
         identified=_count_identified(run.result),
         train=result.metrics.train,
@@ -199,7 +229,8 @@ def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> 
 
 def _by_horizon(runs: Sequence[Run]) -> rows.ErrorGrowth:
     timestep = runs[0].result.data.timestep
-    curves = {run.label: error_by_horizon(np.abs(_residual(run)).mean(axis=2), timestep) for run in runs}
+    errors = {run.label: [np.abs(_residual(member)).mean(axis=2) for member in run.by_seed] for run in runs}
+    curves = {label: error_by_horizon(np.mean(each, axis=0), timestep) for label, each in errors.items()}
     horizon = next(iter(curves.values()))[0]
     return rows.ErrorGrowth(horizon.tolist(), {label: error.tolist() for label, (_, error) in curves.items()})
 

@@ -3,13 +3,17 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
+from msgspec.structs import replace as replace_fields
 
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.config import list_options
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.jobs import Failure, find_runs, read_failure, refuse_links
 from frictionzoo.core.output import RESULT
+from frictionzoo.core.records import Record
 from frictionzoo.result.curves import OWN, Curves
 from frictionzoo.result.record import read_run
 from frictionzoo.result.types import Result
@@ -17,17 +21,38 @@ from frictionzoo.result.types import Result
 MOST_NAMED = 2  # largest number of options in a label
 # Sections whose differences a comparison lists. Options of the model belong to the model; data and evaluation must
 # not differ.
+AVERAGED: Final = "metrics", "by_joint", "by_horizon", "paper", "torque", "timing"  # sections averaged over seeds
 NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench", "teacher")
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Finished run: its unique name in a comparison, its folder, and the contents of its two files."""
+    """Finished run, or runs that differ only in the seed, as one row of a comparison.
+
+    Attributes:
+        label: Unique name in the comparison.
+        folder: Folder of the run; with several seeds, of the run with the lowest training error.
+        result: Content of its `result.json`; with several seeds, its errors and times are means over the seeds.
+        curves: Content of its `curves.safetensors`; with several seeds, its rollouts' errors are means over the seeds.
+        members: The runs of several seeds, lowest training error first; empty for one seed.
+    """
 
     label: str
     folder: Path
     result: Result
     curves: Curves
+    members: tuple["Run", ...] = ()
+
+    @property
+    def by_seed(self) -> tuple["Run", ...]:
+        """One run for each seed; the first one's parameters and details represent the others."""
+        return self.members or (self,)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Settings of the run; with several seeds, `seed` is their list."""
+        seeds = sorted(member.result.seed for member in self.members)
+        return self.result.settings | ({"seed": seeds} if seeds else {})
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
@@ -45,12 +70,78 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
 
 
 def gather(runs: Sequence[Run]) -> list[Run]:
-    """Return runs with unique labels: the model and, if needed, differing options; RunError if not comparable."""
+    """Return runs, one for all seeds, labelled with model and differing options; RunError if not comparable."""
     for run in runs:
         if run.result["card"]:
             raise RunError(f"{run.folder}: a card without recordings, expected the folder of a run; name its run")
         _refuse_incomparable(run, runs[0])
-    return [replace(run, label=_label_among(run, [r for r in runs if r.label == run.label])) for run in runs]
+    rows = _pool_seeds(runs)
+    return [
+        replace(row, label=_label_among(row, [other for other in rows if other.label == row.label])) for row in rows
+    ]
+
+
+def _pool_seeds(runs: Sequence[Run]) -> list[Run]:
+    """Return one run for each set of runs with equal options and distinct seeds."""
+    groups: list[list[Run]] = []
+    for run in runs:
+        alike = (group for group in groups if _differ_in_seed(run, group))
+        if group := next(alike, None):
+            group.append(run)
+        else:
+            groups.append([run])
+    return [_average(group) if len(group) > 1 else group[0] for group in groups]
+
+
+def _differ_in_seed(run: Run, group: Sequence[Run]) -> bool:
+    first, seeds = group[0], {member.result.seed for member in group}
+    if (run.result.model, run.result.engine) != (first.result.model, first.result.engine):
+        return False
+    sections = [*(run.result.settings | first.result.settings)]
+    return run.result.seed not in seeds and not _differing_without_seed([run, first], sections)
+
+
+def _differing_without_seed(runs: Sequence[Run], sections: Sequence[str]) -> dict[str, list[Any]]:
+    """Return the options in which runs differ, without the seed and options that follow it.
+
+    These are options such as `model.seed`, and those that the automatic settings chose in all runs.
+    """
+    seeds = [run.result.seed for run in runs]
+    chosen = set.intersection(*({setting.option for setting in run.result.recipe} for run in runs))
+    options = differing([run.result.settings for run in runs], sections)
+    options = {name: values for name, values in options.items() if not (name.endswith("seed") and values == seeds)}
+    return {name: values for name, values in options.items() if not any(f"{name}.".startswith(f"{o}.") for o in chosen)}
+
+
+def _average(runs: Sequence[Run]) -> Run:
+    """Return the run with the lowest training error, with the mean errors of all."""
+    members = sorted(runs, key=lambda run: _rank_training(run.result))
+    sections = {name: _mean([run.result[name] for run in runs]) for name in AVERAGED}
+    rollouts = ("train_mae", "test_mae", "local_mae")
+    errors = {name: np.mean([getattr(run.curves, name) for run in runs], axis=0) for name in rollouts}
+    for part in ("train", "test"):
+        sections["metrics"][part].diverged = int(np.isnan(errors[f"{part}_mae"]).sum())
+    result = replace_fields(members[0].result, **sections)
+    return replace(members[0], result=result, curves=replace(members[0].curves, **errors), members=tuple(members))
+
+
+def _rank_training(result: Result) -> tuple[int, float]:
+    train = result.metrics.train
+    return train.diverged, np.inf if train.position_mae is None else train.position_mae
+
+
+def _mean(values: Sequence[Any]) -> Any:
+    """Return the mean of records of equal structure, without values that are None; counts are the largest ones."""
+    present = [value for value in values if value is not None]
+    first = present[0] if present else None
+    if isinstance(first, Record):
+        fields_ = first.__struct_fields__
+        return replace_fields(first, **{name: _mean([value[name] for value in present]) for name in fields_})
+    if isinstance(first, list):
+        return [_mean(entries) for entries in zip(*present, strict=True)]
+    if isinstance(first, float):
+        return float(np.mean(present))
+    return max(present) if isinstance(first, int) else first
 
 
 def _refuse_incomparable(run: Run, first: Run) -> None:
@@ -85,17 +176,26 @@ def _label_among(run: Run, same: Sequence[Run]) -> str:
     place = same.index(run)
     for descriptions in _describe(same):
         if len(set(descriptions)) == len(same):
-            return f"{run.label} {descriptions[place]}"
+            return f"{run.label}{descriptions[place]}"
     return f"{run.label} ({run.folder.name} {place})"
 
 
 def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
     """Yield texts that may distinguish runs of one model, one per run, the simplest first."""
-    yield [f"fit={run.result.fit.method}" for run in same]
-    options = differing([run.result.settings for run in same], (*NAMED, "model"))
-    if len(options) <= MOST_NAMED:
+    yield [f", fit {run.result.fit.method}" for run in same]
+    options = _differing_without_seed(same, (*NAMED, "model"))
+    seeded = {"seed": [run.options.get("seed") for run in same]} | options
+    for shown in (each for each in (options, seeded) if len(each) <= MOST_NAMED):
         # Labels appear on shared pages and tables, which must not reveal paths of this machine.
         paths, joints = {path for run in same for path in list_paths_of(run.result)}, same[0].result.joints
-        named = {name: without_paths(values, paths, joints) for name, values in options.items()}
-        yield [" ".join(f"{name}={values[i]}" for name, values in named.items()) for i in range(len(same))]
-    yield [f"({run.folder.name})" for run in same]
+        named = {name: without_paths(values, paths, joints) for name, values in shown.items()}
+        words = {name: [_say(value) for value in values] for name, values in named.items()}
+        yield ["".join(f", {name} {values[i]}" for name, values in words.items()) for i in range(len(same))]
+    yield [f" ({run.folder.name})" for run in same]
+
+
+def _say(value: Any) -> str:
+    """Return the value of an option without the syntax of the configuration."""
+    if isinstance(value, list | tuple):
+        return " ".join(map(_say, value))
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

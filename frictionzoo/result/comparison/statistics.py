@@ -1,5 +1,6 @@
 """Statistics for drives that were evaluated on the same rollouts."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 RESAMPLES = 10_000
 INTERVAL = (2.5, 97.5)  # percentiles
+NORMAL = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 MATTERS = 0.01  # smallest relevant difference, relative to the smaller error
 POINTS = 30  # number of horizons of an error curve
 HAIR = 0.2  # share of half an interval; if an end is closer to 0, other rollouts might move it across
@@ -44,15 +46,19 @@ def resample(rollouts: int) -> Int[np.ndarray, "resamples rollouts"]:
     return np.random.default_rng(0).multinomial(rollouts, np.full(rollouts, 1 / rollouts), size=RESAMPLES)
 
 
-def difference(first: Errors, second: Errors, counts: Int[np.ndarray, "resamples rollouts"]) -> Difference:
+def difference(
+    first: Errors, second: Errors, counts: Int[np.ndarray, "resamples rollouts"], seed_error: float = 0.0
+) -> Difference:
     """Estimate the mean difference of two drives' errors with a percentile interval from a paired bootstrap.
 
-    An error is NaN if its rollout diverged; `counts` comes from `resample`.
+    An error is NaN if its rollout diverged; `counts` comes from `resample`. `seed_error` is the standard error of the
+    difference due to random seeds [rad or m]; it widens the interval.
 
     Source: B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", Chapman and Hall 1993, section 13.3.
     """
     finite = np.isfinite(first) & np.isfinite(second)
     mean, low, high = _interval(np.where(finite, first - second, 0.0), finite, counts)
+    low, high = mean - math.hypot(mean - low, NORMAL * seed_error), mean + math.hypot(high - mean, NORMAL * seed_error)
     surplus = np.isnan(first).sum() - np.isnan(second).sum()
     if surplus:
         return Difference(mean, low, high, "worse" if surplus > 0 else "better")

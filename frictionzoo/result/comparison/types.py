@@ -99,13 +99,32 @@ class Computation(Record):
     """Simulation engine."""
 
 
+class Seeds(Record):
+    """Runs that differ only in the seed."""
+
+    values: list[int]
+    """The seeds."""
+    runs: list[str]
+    """Names of the runs' folders, lowest training error first."""
+    deterministic: bool
+    """Whether all seeds give equal errors; the runs count as one."""
+    test_std: NotNegative | None
+    """Standard deviation of the test error over the seeds [unit]; null: fewer than two seeds have one."""
+
+
 class ComparedRun(Record):
-    """One run."""
+    """One run, or runs that differ only in the seed.
+
+    With several seeds, errors and times are means over the seeds, and `diverged` counts rollouts that diverged with any
+    seed. Everything else is from the run with the lowest training error.
+    """
 
     label: str
     """Name of the run in this file: its model, and its difference from other runs of the same model."""
     run: str
     """Name of the run's folder."""
+    seeds: Seeds | None
+    """The seeds, if there are several."""
     model: str
     """Name of the friction model."""
     identified: Natural
@@ -220,7 +239,7 @@ class Comparison(Record):
     rollouts diverged. Errors are mean absolute position errors in `unit`.
     """
 
-    schema_version: Literal[6]
+    schema_version: Literal[7]
     """Schema version, increased by every change that affects readers of the file."""
     data: Data
     joints: Joints
