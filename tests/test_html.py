@@ -68,16 +68,23 @@ def test_links_at_the_top_lead_to_sections(record, tmp_path, joints):
     places = [attributes["id"] for attributes in page.with_attribute("id")]
     links = [attributes["href"][1:] for attributes in page.with_attribute("href") if attributes["href"][0] == "#"]
     assert len(links) > 6 and {*links} <= {*places} and len(places) == len({*places})
-    assert sorted(links, key=places.index)[:2] == ["verdict", "rollout"]
+    assert sorted(links, key=places.index)[:2] == ["verdict", "parameters"]
 
 
 def test_the_page_opens_with_what_to_do(record, tmp_path):
     put(record, "verdict.commands", [{"kind": "law", "command": "frictionzoo model=stribeck"}])
     text = Page(report(tmp_path / "report.html", record)).text
     change = format_change(*(record["metrics"][part]["position_mae"] for part in ("test", "baseline")))
-    asked = (change, "Verdict: ", "How to use", "fz.load(", "Next steps", "model=stribeck", "Best")
-    places = [text.find(each) for each in (*asked[:-1], "test rollout ")]
+    asked = (change, "Verdict: ", "Next: the model to try", "model=stribeck", "fz.load(", "armature", "test rollout ")
+    places = [text.find(each) for each in asked]
     assert -1 not in places and places == sorted(places)
+
+
+def test_further_findings_are_folded(record, tmp_path):
+    record.warnings = [f"fault {number}" for number in range(5)]
+    text = Page(report(tmp_path / "report.html", record)).text.lower()
+    folded = text.index("more findings, perhaps with the same cause")
+    assert text.index("fault 1") < folded < text.index("fault 2") < text.index("between the bounds")
 
 
 def test_no_absolute_path_is_on_the_page(record, tmp_path):

@@ -19,7 +19,7 @@ from frictionzoo.export.base import REGISTRY as TARGETS
 from frictionzoo.identification.commands import Origin
 from frictionzoo.report.terminal import summarise
 from frictionzoo.result.record import read_run
-from frictionzoo.result.section_types import Verdict
+from frictionzoo.result.section_types import SuggestedCommand, Verdict
 from frictionzoo.result.types import ParameterRecord, Result, Value
 from frictionzoo.result.verdict import judge, say_finding
 
@@ -186,6 +186,13 @@ def test_a_reference_at_a_bound_is_no_doubt_where_noise_is_all_that_is_left(good
     found = spoil(good, "reference.0.at_bound", True)
     assert judge(spoil(found, "residual", residual(residual=0.01)))["findings"] == []
     assert judge(spoil(found, "residual", residual(residual=0.03)))["findings"] != []
+
+
+def test_the_export_of_a_result_without_findings_comes_first(good: Result) -> None:
+    commands = [SuggestedCommand(kind, f"frictionzoo {kind}") for kind in ("law", "recording", "export")]
+    assert [row.kind for row in judge(good, commands).commands] == ["export", "law", "recording"]
+    good.warnings = ["3 samples are missing"]
+    assert [row.kind for row in judge(good, commands).commands] == ["law", "recording", "export"]
 
 
 def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) -> None:

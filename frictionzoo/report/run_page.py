@@ -20,7 +20,7 @@ from frictionzoo.report.terminal import ERRORS
 from frictionzoo.report.text import format_change, format_number, format_share
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import Data, JointErrors, Metrics, ParameterRecord, Result, Timing, Value
-from frictionzoo.result.verdict import doubt_reference, is_usable, judge, list_rollouts, say_finding, say_purposes
+from frictionzoo.result.verdict import PURPOSES, doubt_reference, is_usable, judge, list_rollouts, say_finding
 
 TITLES = {
     "identification": "Not identified",
@@ -89,7 +89,7 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
         place=place,
         uses=list_uses(place, is_usable(result)),
         usable=is_usable(result),
-        purposes=say_purposes(result.verdict.commands),
+        purposes=[PURPOSES[row.kind] for row in result.verdict.commands],
         command=command,
         step=f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file",
         ranks=f"{', '.join(before)} and {last} test rollout".capitalize() if before else f"The {last} test rollout",

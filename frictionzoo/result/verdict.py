@@ -13,6 +13,8 @@ from frictionzoo.result.types import Metrics, ParameterRecord, ReferenceParamete
 
 DO_NOT_USE: Final = "do not use it"
 """Grade of a result that must not be used."""
+CLEAN: Final = "no problems found"
+"""Grade of a result without findings, whose first suggestion is the export."""
 PURPOSES = {
     "repair": "the corrected run",
     "inspect": "the recordings to inspect",
@@ -60,7 +62,7 @@ def judge(result: Result, commands: Sequence[types.SuggestedCommand] = ()) -> ty
     ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
     findings = sorted(_find_doubts(result), key=lambda row: (ranks.get(row.kind, len(ranks)), not row.severe))
     severe = any(finding.severe for finding in findings)
-    grade: types.Grade = DO_NOT_USE if severe else "use it with care" if findings else "no problems found"
+    grade: types.Grade = DO_NOT_USE if severe else "use it with care" if findings else CLEAN
     allowed = _allow(commands, grade, identified=not result.not_identified)
     return types.Verdict(grade, findings, allowed)
 
@@ -73,7 +75,8 @@ def _allow(commands: Sequence[types.SuggestedCommand], grade: str, identified: b
         left_out |= {"recording", "export"} | ({"law"} if "repair" in kinds or not identified else set())
     elif "repair" in kinds or "recording" in kinds:
         left_out |= {"inspect"}
-    return [row for row in commands if row.kind not in left_out]
+    allowed = [row for row in commands if row.kind not in left_out]
+    return sorted(allowed, key=lambda row: row.kind != "export") if grade == CLEAN else allowed
 
 
 def is_usable(result: Result) -> bool:
