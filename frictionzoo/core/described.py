@@ -29,7 +29,7 @@ class _Signature:
 class Described:
     """Base class whose objects remember their constructor arguments."""
 
-    __signature__ = _Signature()
+    __signature__: ClassVar[_Signature] = _Signature()
     records_none: ClassVar[bool] = True
     """Whether a record keeps keyword arguments that are None."""
 
