@@ -33,6 +33,8 @@ from frictionzoo.simulation import Values
 from frictionzoo.simulation.base import FORWARD
 from frictionzoo.simulation.rollout import Rollout
 
+_SMOOTH = 2  # trials of initial states that suffice where rollouts are nearly linear in them
+
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
@@ -170,7 +172,7 @@ def compile_equations(
 ) -> Callable[[Array, Blocks, SearchStart | None], tuple[Any, ...]]:
     """Compile the function for loss, gradient by stretch, Hessian, and next start of initial states or None.
 
-    Each trial of initial states is a pass over all blocks. Where a joint sticks or turns back, trials fail and many
+    Each trial of initial states is a pass over all blocks. Where a joint sticks or turns back, trials fail or many
     follow, with the derivatives by the states only. `start` is the initial vector, on all devices; `exact` is for
     `Loss.shares`.
     """
@@ -210,7 +212,8 @@ def compile_equations(
         search = system = None
         while search is None or not search.ended:
             tried, system, local = states, None, None
-            if search is None or compile_states is None or (search.damping < DAMPING).all():
+            is_smooth = search is None or (search.looks < _SMOOTH and (search.damping < DAMPING).all())
+            if is_smooth or compile_states is None:
                 system = equations(vector, data, states)
                 local = system.local
             else:
