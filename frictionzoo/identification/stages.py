@@ -279,7 +279,11 @@ class Stages(Trials):
                 bench = halve_step(bench, softness)
             tell(f"automatic settings: effect of steps of {1e3 * bench.timestep:.3g} ms")
             near = self._coarse.approaching(self._coarse.simulate(bench), self._found)
-            step, _ = near.step(self._found)
+            step, loss = near.step(self._found)
+            if loss > _HOPELESS * self._found.loss:  # the result is one of long steps: slopes there do not hold
+                tell(f"automatic settings: fitting again in steps of {1e3 * bench.timestep:.3g} ms")
+                fitted = near.fit(self._found, self._out)
+                step = fitted.among(self._found.labels, self._found.vector) - self._found.vector
             changes = self._found.in_halves(step)
             largest = float(changes.max(initial=0.0))
             label = self._found.labels[int(changes.argmax())]
