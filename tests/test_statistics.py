@@ -13,6 +13,7 @@ from frictionzoo.result.comparison.statistics import (
     bin_evenly,
     difference,
     error_by_horizon,
+    find_half_over_seeds,
     mean_of_finite,
     resample,
 )
@@ -35,6 +36,22 @@ def test_a_constant_difference_has_no_spread():
     # What does not matter is noise, however sure.
     assert [compare(share * errors, errors).verdict for share in (1.009, 1.011)] == ["noise", "worse"]
     assert [compare(errors, share * errors).verdict for share in (1.009, 1.011)] == ["noise", "better"]
+
+
+@pytest.mark.parametrize(("first", "second"), [(2, 1), (3, 3), (3, 1), (5, 2)])
+def test_the_interval_over_seeds_is_that_of_scipy(first, second):
+    errors = RNG.normal(1, 0.1, first), RNG.normal(1, 0.3, second)
+    means = errors[0].mean() - errors[1].mean()
+    if second > 1:
+        interval = scipy.stats.ttest_ind(*errors, equal_var=False).confidence_interval()
+    else:
+        interval = scipy.stats.ttest_1samp(errors[0] - errors[1], 0).confidence_interval()
+    half = find_half_over_seeds(*(each.tolist() for each in errors))
+    np.testing.assert_allclose((means - half, means + half), interval, rtol=1e-9)
+
+
+def test_one_seed_or_equal_errors_have_no_interval_over_seeds():
+    assert find_half_over_seeds([1.0], [2.0]) == find_half_over_seeds([1.0, 1.0], [2.0]) == 0
 
 
 def test_the_interval_is_that_of_scipy():

@@ -1,6 +1,5 @@
 """`comparison.json`: comparison of runs; `comparison.schema.json` in this folder describes it."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -21,6 +20,7 @@ from frictionzoo.result.comparison.statistics import (
     bin_evenly,
     difference,
     error_by_horizon,
+    find_half_over_seeds,
     mean_of_finite,
     resample,
 )
@@ -41,7 +41,8 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Compa
     counts = resample(len(runs[0].curves.test_mae))
     pairs = {
         (worse.label, better.label): difference(
-            worse.curves.test_mae, better.curves.test_mae, counts, math.hypot(_seed_error(worse), _seed_error(better))
+            *(worse.curves.test_mae, better.curves.test_mae, counts),
+            find_half_over_seeds(_list_test_errors(worse), _list_test_errors(better)),
         )
         for better, worse in combinations(ranked, 2)
     }
@@ -90,12 +91,6 @@ def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
 def _list_test_errors(run: Run) -> list[float]:
     errors = [member.result.metrics.test.position_mae for member in run.members]
     return [error for error in errors if error is not None]
-
-
-def _seed_error(run: Run) -> float:
-    """Return the standard error of the test error due to the seeds; 0 for one seed."""
-    errors = _list_test_errors(run)
-    return float(np.std(errors, ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else 0.0
 
 
 def _describe_seeds(run: Run) -> rows.Seeds | None:

@@ -1,14 +1,15 @@
 """Statistics for drives that were evaluated on the same rollouts."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.special
 from jaxtyping import Bool, Float, Int
 
 RESAMPLES = 10_000
 INTERVAL = (2.5, 97.5)  # percentiles
-NORMAL = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 MATTERS = 0.01  # smallest relevant difference, relative to the smaller error
 POINTS = 30  # number of horizons of an error curve
 HAIR = 0.2  # share of half an interval; if an end is closer to 0, other rollouts might move it across
@@ -47,24 +48,35 @@ def resample(rollouts: int) -> Int[np.ndarray, "resamples rollouts"]:
 
 
 def difference(
-    first: Errors, second: Errors, counts: Int[np.ndarray, "resamples rollouts"], seed_error: float = 0.0
+    first: Errors, second: Errors, counts: Int[np.ndarray, "resamples rollouts"], over_seeds: float = 0.0
 ) -> Difference:
     """Estimate the mean difference of two drives' errors with a percentile interval from a paired bootstrap.
 
-    An error is NaN if its rollout diverged; `counts` comes from `resample`. `seed_error` is the standard error of the
-    difference due to random seeds [rad or m]; it widens the interval.
+    An error is NaN if its rollout diverged; `counts` comes from `resample`. `over_seeds` is half the interval of the
+    difference over random seeds [rad or m]; it widens the interval.
 
     Source: B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", Chapman and Hall 1993, section 13.3.
     """
     finite = np.isfinite(first) & np.isfinite(second)
     mean, low, high = _interval(np.where(finite, first - second, 0.0), finite, counts)
-    low, high = mean - math.hypot(mean - low, NORMAL * seed_error), mean + math.hypot(high - mean, NORMAL * seed_error)
+    low, high = mean - math.hypot(mean - low, over_seeds), mean + math.hypot(high - mean, over_seeds)
     surplus = np.isnan(first).sum() - np.isnan(second).sum()
     if surplus:
         return Difference(mean, low, high, "worse" if surplus > 0 else "better")
     smaller = min(errors[finite].mean() if finite.any() else 0.0 for errors in (first, second))
     distinct = not low <= 0 <= high and abs(mean) >= MATTERS * smaller
     return Difference(mean, low, high, ("better" if mean < 0 else "worse") if distinct else "noise")
+
+
+def find_half_over_seeds(*errors: Sequence[float]) -> float:
+    """Return half the 95 % interval of the difference of two drives' mean errors, each over its seeds; 0 for one seed.
+
+    Source: B. Welch, "The generalization of 'Student's' problem when several different population variances are
+    involved", 1947.
+    """
+    variances = [(float(np.var(each, ddof=1)) / len(each), len(each) - 1) for each in errors if len(each) > 1]
+    total, squares = sum(v for v, _ in variances), sum(v**2 / freedom for v, freedom in variances)
+    return scipy.special.stdtrit(total**2 / squares, INTERVAL[1] / 100) * math.sqrt(total) if squares else 0.0
 
 
 def _interval(
