@@ -11,11 +11,14 @@ from conftest import put
 from matplotlib import colors
 from matplotlib.container import BarContainer
 from matplotlib.image import imread
+from matplotlib.text import Text
 
+from frictionzoo.api.comparison_files import save_comparison
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.report.comparison_plots import arrange, choose_looks, write_figures
-from frictionzoo.report.with_matplotlib import draw, save_figure
+from frictionzoo.report.with_matplotlib import COLUMN, FONTS, PAGE, draw, paper, save_figure
 from frictionzoo.result.comparison.record import compare_runs, read_schema
 from frictionzoo.result.evaluate import moving_mean_and_std
 
@@ -315,6 +318,29 @@ def test_labels_stand_as_they_are(make_runs, tmp_path):
     assert box.y1 <= figure.get_axes()[0].get_tightbbox().y0
 
 
+@pytest.mark.parametrize("font", FONTS)
+def test_figures_of_a_paper_have_its_width_and_font_and_no_title(make_runs, font):
+    runs = make_runs(AWKWARD if font == "serif" else LABELS)
+    widths = {}
+    with paper(font):
+        for name, sheet in arrange(compare(runs), runs).items():
+            figure = draw(sheet, on_paper=True)
+            figure.draw_without_rendering()  # a layout that collapses warns
+            texts = [text for text in figure.findobj(Text) if text.get_text()]
+            assert {text.get_fontname() for text in texts} == {FONTS[font]}, name
+            assert max(text.get_fontsize() for text in texts) <= 8, name
+            assert not figure.get_suptitle() and not any(axes.get_title("left") for axes in figure.axes)
+            widths[name] = figure.get_figwidth()
+    wide = {"differences", "figure3_parameters", "figure6_mae"}
+    assert widths == {name: PAGE if name in wide else COLUMN for name in NAMES}
+
+
+def test_an_unknown_font_is_refused(comparison, runs, tmp_path):
+    with pytest.raises(ConfigError, match="font=serfi: did you mean serif"):
+        save_comparison(comparison, runs, tmp_path, font="serfi")
+    assert not list(tmp_path.iterdir())
+
+
 def test_files_are_whole_and_the_same_each_time(runs, comparison, monkeypatch, tmp_path):
     before = dict(matplotlib.rcParams)
     printed = ("figure4_trajectories", "figure6_mae", "friction")  # an inset, hatches and a band
@@ -332,8 +358,10 @@ def test_files_are_whole_and_the_same_each_time(runs, comparison, monkeypatch, t
             assert imread(path, format="png").std() > 0.05  # more than an empty canvas
         elif path.stem in printed:
             _judge_pdf(path.read_bytes())
+    save_figure(flat(figure_of("figure6_mae", comparison, runs)), tmp_path / "second.png")
+    with paper("sans"):
+        save_figure(flat(draw(arrange(comparison, runs)["figure6_mae"], True)), tmp_path / "second.pdf")
     for suffix in ("pdf", "png"):
-        save_figure(flat(figure_of("figure6_mae", comparison, runs)), tmp_path / f"second.{suffix}")
         assert (tmp_path / f"second.{suffix}").read_bytes() == (tmp_path / f"first/figure6_mae.{suffix}").read_bytes()
 
 

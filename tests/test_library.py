@@ -419,7 +419,9 @@ def test_the_page_reads_a_run_back(finished_run, tmp_path, monkeypatch, capsys):
 def test_a_run_that_was_read_back_is_shown_and_exported(finished_run: Callable, tmp_path: Path) -> None:
     fit = fz.load(finished_run("mujoco_default")[0])
     curves = read_curves(fit.folder)
-    drawn = [line.get_ydata() for line in fit.plot().axes[0].lines]
+    figure = fit.plot()
+    assert figure._repr_png_().startswith(b"\x89PNG")  # a notebook displays it
+    drawn = [line.get_ydata() for line in figure.axes[0].lines]
     for states in (curves.measured_qpos[0, :, 0], curves.qpos[0, :, 0], curves.baseline_qpos[0, :, 0]):
         assert any(len(line) >= len(states) and np.array_equal(line[-len(states) :], states) for line in drawn)
     page = fit._repr_html_()

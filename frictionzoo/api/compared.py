@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from frictionzoo.api.comparison_files import save_comparison
 from frictionzoo.api.identified import Identified
@@ -57,13 +58,18 @@ class Compared:
         """Error of the first drive minus error of the second on paired rollouts: mean, 95 % interval, verdict."""
         return {(pair.run, pair.other): pair for pair in self.record.pairs}
 
-    def save(self, folder: str | Path) -> None:
+    def save(self, folder: str | Path, font: Literal["sans", "serif"] = "sans") -> None:
         """Write the files of `python -m frictionzoo.compare`: JSON, page, figures, and a LaTeX table.
 
+        Args:
+            folder: Output folder.
+            font: Font of the PDF figures.
+
         Raises:
+            ConfigError: The font is another one.
             OutputError: A file cannot be written.
         """
-        save_comparison(self.record, self.runs, Path(folder))
+        save_comparison(self.record, self.runs, Path(folder), font)
 
     def __repr__(self) -> str:
         """Return drives (best first), failures and recommendation as text."""

@@ -89,7 +89,7 @@ def compare(arguments: Sequence[str]) -> None:
         from frictionzoo.api.comparison_files import write_comparison
         from frictionzoo.report.terminal import summarise_comparison
 
-        say(summarise_comparison(write_comparison(parsed.folders, output), output))
+        say(summarise_comparison(write_comparison(parsed.folders, output, parsed.font), output))
 
 
 def design(arguments: Sequence[str]) -> None:
@@ -174,6 +174,7 @@ def parse(name: str, arguments: Sequence[str]) -> argparse.Namespace:
         parser.add_argument("folders", metavar="FOLDER", nargs="+", type=Path, help="a run's folder, or a sweep's")
         default = "comparison/ in the given folder, or here if several are given"
         parser.add_argument("--output", metavar="FOLDER", type=Path, help=f"output folder; by default {default}")
+        parser.add_argument("--font", choices=("sans", "serif"), default="sans", help="font of the PDF figures")
         return parser.parse_args(arguments)
     if name == "drift":
         paths = "folders of finished runs of the unchanged drive, then recordings, and options"

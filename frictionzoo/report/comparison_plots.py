@@ -1,5 +1,6 @@
 """Figures of several runs, each in one colour and dash pattern: the paper's figures 3 to 6, and further comparisons."""
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -83,16 +84,26 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
     }
 
 
-def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
-    """Write all figures of a comparison, each as PNG and PDF; an older file of a figure that is now empty is removed.
+def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run], font: str = "sans") -> None:
+    """Write all figures of a comparison; an older file of a figure that is now empty is removed.
+
+    Args:
+        folder: Folder of the figures.
+        comparison: Comparison of the runs.
+        runs: Compared runs.
+        font: Font of the PDF files, which are for a paper: `sans` or `serif`. The PNG files are for a screen.
 
     Raises:
         OutputError: A file cannot be written.
     """
     for name, sheet in arrange(comparison, runs).items():
-        figure = with_matplotlib.draw(sheet) if sheet.figures else None
-        for path in (folder / f"{name}.{suffix}" for suffix in FORMATS):
-            remove_written(path) if figure is None else with_matplotlib.save_figure(figure, path)
+        for suffix in FORMATS:
+            path, printed = folder / f"{name}.{suffix}", suffix == "pdf"
+            if not sheet.figures:
+                remove_written(path)
+                continue
+            with with_matplotlib.paper(font) if printed else contextlib.nullcontext():
+                with_matplotlib.save_figure(with_matplotlib.draw(sheet, printed), path)
 
 
 def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:

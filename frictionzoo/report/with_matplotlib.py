@@ -1,8 +1,9 @@
-"""PNG and PDF figures, drawn by matplotlib."""
+"""Figures as PNG for a screen and as PDF for a paper, drawn by matplotlib."""
 
+import contextlib
 import io
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,15 @@ logging.getLogger("fontTools").setLevel(logging.WARNING)
 
 DPI = 150
 WIDTH = 8.0  # [inch]; 1200 px
-COLUMN = 3.5  # width of each of several columns [inch]
+COLUMN = 3.5  # width of each of several columns on a screen, and of one column of a paper [inch]
+PAGE = 7.2  # width of both columns of a paper [inch]
+FONTS = {"sans": "DejaVu Sans", "serif": "STIXGeneral"}  # fonts of a paper; matplotlib contains both
+_PAPER: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.linewidth": 0.6,
+    "mathtext.fontset": "stix",
+    "pdf.fonttype": 42,
+}  # no type 3
 LINE = 0.17  # height of each line of a legend [inch]
 TICK, PANEL, LEGEND = 30, 45, 100  # characters per line: of a tick, above a small panel, in a legend
 _POINT = 0.8  # points per pixel of a page
@@ -37,51 +46,76 @@ _MARKERS = {"": "None", "circle": "o", "diamond": "D", "x": "x", "cross": "+", "
 _MARKERS |= {"triangle-up": "^", "triangle-down": "v"}
 
 
-def draw(sheet: Sheet) -> Figure:
-    """Draw a sheet as one matplotlib figure."""
+class ShownFigure(Figure):
+    """A figure that notebooks display, also if pyplot was not imported."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        FigureCanvasAgg(self).print_figure(buffer, format="png", dpi=DPI / 2)
+        return buffer.getvalue()
+
+
+@contextlib.contextmanager
+def paper(font: str) -> Iterator[None]:
+    """Draw and save figures for a paper: with `font`, a key of `FONTS`, in 8 points."""
+    settings: Any = _PAPER | {"font.family": FONTS[font]}
+    with matplotlib.rc_context(settings):
+        yield
+
+
+def draw(sheet: Sheet, on_paper: bool = False) -> Figure:
+    """Draw a sheet as one matplotlib figure.
+
+    For a paper (within `paper`), the figure has no title, as its caption is below it, and the width of one or of both
+    columns.
+    """
     columns, parts = min(sheet.columns, len(sheet.figures)), len(sheet.figures[0].panels)
     blocks = -(-len(sheet.figures) // columns)
-    size = (max(WIDTH, COLUMN * columns), 0.6 + sheet.height * blocks)
-    figure = Figure(figsize=size, layout="constrained")
+    wide = columns > 1 or sheet.apart or any(panel.y.ticks for panel in sheet.figures[0].panels)
+    width = (PAGE if wide else COLUMN) if on_paper else max(WIDTH, COLUMN * columns)
+    figure = ShownFigure(
+        figsize=(width, (0.0 if on_paper else 0.6) + sheet.height * blocks * _zoom()), layout="constrained"
+    )
+    headings = sheet.headings and (len(sheet.figures) > 1 or not on_paper)
     shares = [panel.share for panel in sheet.figures[0].panels] * blocks
     shared = "col" if parts > 1 and blocks == 1 else False
     grid = figure.subplots(len(shares), columns, sharex=shared, squeeze=False, height_ratios=shares)
     for place in range(blocks * columns):
         block = grid[place // columns * parts :, place % columns][:parts]
         if place < len(sheet.figures):
-            _draw_figure(block, sheet.figures[place], sheet)
+            _draw_figure(block, sheet.figures[place], headings, sheet.apart)
         for axes in block if place >= len(sheet.figures) else ():
             axes.set_axis_off()
-    figure.suptitle(_name(sheet.title, LEGEND), fontsize="medium")
+    if not on_paper:
+        figure.suptitle(_name(sheet.title, LEGEND), fontsize="medium")
     if not sheet.apart:
-        _add_legend(figure, _list_keys(panel for part in sheet.figures for panel in part.panels))
+        _add_legend(figure, [panel for part in sheet.figures for panel in part.panels])
     return figure
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or PDF according to the suffix; PDF with embedded fonts and without a date.
+    """Write a figure as PNG or PDF according to the suffix; PDF without a date.
 
     Raises:
         OutputError: The file cannot be written.
     """
     buffer = io.BytesIO()
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
-    with matplotlib.rc_context({"pdf.fonttype": 42}):  # TrueType: journals refuse type 3, the default
-        FigureCanvasAgg(figure).print_figure(buffer, format=path.suffix[1:], dpi=DPI, metadata=metadata)
+    FigureCanvasAgg(figure).print_figure(buffer, format=path.suffix[1:], dpi=DPI, metadata=metadata)
     write_atomically(path, buffer.getvalue())
 
 
-def _draw_figure(block: Iterable[Axes], figure: described.Figure, sheet: Sheet) -> None:
+def _draw_figure(block: Iterable[Axes], figure: described.Figure, headings: bool, apart: bool) -> None:
     for axes, panel in zip(block, figure.panels, strict=True):
         _draw_panel(axes, panel)
         first, last = panel is figure.panels[0], panel is figure.panels[-1]
         axes.set_xlabel(_name(panel.x.title, PANEL) if last else "")
         axes.set_ylabel(_name(panel.y.title, PANEL))
         axes.set_title(_name(panel.note, PANEL), loc="right", fontsize="small", color=TEXT)
-        if sheet.headings and first and not sheet.apart:
+        if headings and first and not apart:
             axes.set_title(_name(figure.title, PANEL), loc="left", fontsize="medium")
-        if sheet.apart and first:
-            keys = _list_keys([panel])
+        if apart and first:
+            keys = _list_keys([panel], LEGEND)
             place = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "frameon": False}
             title = _name(figure.title, PANEL)
             axes.legend([*keys.values()], [*keys], title=title, fontsize="x-small", handlelength=3.5, **place)
@@ -177,11 +211,11 @@ def _magnify(axes: Axes, panel: Panel, x: tuple[float, float], y: tuple[float, f
     axes.indicate_inset_zoom(inset, edgecolor="black")
 
 
-def _list_keys(panels: Iterable[Panel]) -> dict[str, Artist]:
-    """Return legend entries by name; runs come last, in their order."""
+def _list_keys(panels: Iterable[Panel], width: int) -> dict[str, Artist]:
+    """Return legend entries by name in lines of this width; runs come last, in their order."""
     marks = [mark for panel in panels for mark in list_named(panel)]
     marks.sort(key=lambda mark: -1 if mark.run is None else mark.run)
-    return {_name(mark.name, LEGEND): _make_key(mark) for mark in marks}
+    return {_name(mark.name, width): _make_key(mark) for mark in marks}
 
 
 def _make_key(mark: Mark) -> Artist:
@@ -190,13 +224,19 @@ def _make_key(mark: Mark) -> Artist:
     return Patch(**_fill(mark)) if isinstance(mark, Bars) else Patch(facecolor=mark.color, alpha=mark.opacity)
 
 
-def _add_legend(figure: Figure, keys: Mapping[str, Artist]) -> None:
-    if not keys:
+def _zoom() -> float:
+    """Return the size of text relative to a screen's."""
+    return matplotlib.rcParams["font.size"] / matplotlib.rcParamsDefault["font.size"]
+
+
+def _add_legend(figure: Figure, panels: Iterable[Panel]) -> None:
+    width = int(LEGEND * figure.get_figwidth() / WIDTH / _zoom())
+    if not (keys := _list_keys(panels, min(width, LEGEND))):
         return
     longest = max(len(line) for name in keys for line in name.splitlines())
-    columns = int(np.clip(LEGEND * figure.get_figwidth() / WIDTH // (longest + 8), 1, len(keys)))
+    columns = int(np.clip(width // (longest + 8), 1, len(keys)))
     lines = max(1, -(-sum(1 + name.count("\n") for name in keys) // columns))
-    figure.set_figheight(figure.get_figheight() + 0.1 + 0.2 * lines)
+    figure.set_figheight(figure.get_figheight() + 0.1 + 0.2 * _zoom() * lines)
     place = {"loc": "outside lower center", "ncols": columns}
     figure.legend([*keys.values()], [*keys], fontsize="small", handlelength=3.5, **place)
 
