@@ -7,9 +7,10 @@ package's plug-ins of that kind. LaTeX equations become MathML.
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from posixpath import dirname, join, normpath, relpath
+from typing import Any
 
 import configuration
 from latex2mathml import converter
@@ -86,9 +87,19 @@ def _page_of(path: str) -> str:
 
 
 def _read_notebook(path: Path) -> str:
-    """Return the cells of a notebook as Markdown, with a link to the notebook file."""
-    cells = json.loads(path.read_text())["cells"]
-    texts = [(cell["cell_type"], "".join(cell["source"])) for cell in cells]
-    parts = [text if kind == "markdown" else f"```python\n{text}\n```" for kind, text in texts]
+    """Return the cells of a notebook and their outputs as Markdown, with a link to the notebook file."""
+    parts = []
+    for cell in json.loads(path.read_text())["cells"]:
+        text = "".join(cell["source"])
+        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        parts.extend(map(_show_output, cell.get("outputs", [])))
     # HTML, because on_page_markdown would convert a Markdown link to this page.
     return "\n\n".join([*parts, f'<a href="{path.name}" download>{path.name}</a> is this page as a notebook.'])
+
+
+def _show_output(output: Mapping[str, Any]) -> str:
+    data = output.get("data", {})
+    if "image/png" in data:
+        return f'<img alt="figure" src="data:image/png;base64,{"".join(data["image/png"].split())}">'
+    text = "".join(output.get("text") or data.get("text/plain", ""))
+    return f"```text\n{text.rstrip()}\n```"
