@@ -3,7 +3,6 @@
 import inspect
 import itertools
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import torch
-from conftest import ROOT, check_each
+from conftest import check_each
 from helpers.torch_laws import TorchConstraint, TorchStribeck
+from helpers.tutorials import code_of
 
 import frictionzoo as fz
 from frictionzoo.bench.actuators import REGISTRY as ACTUATORS
@@ -379,15 +379,10 @@ def test_a_table_without_pandas_is_refused(finished_run: Callable, monkeypatch: 
         fit.to_frame()
 
 
-def blocks() -> list[str]:
-    """The code of the documentation's page."""
-    return re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(), re.M | re.S)
-
-
 def test_the_page_s_loop_finds_its_drive(capsys: pytest.CaptureFixture[str]) -> None:
     before = torch.get_default_dtype()
     try:
-        exec(blocks()[1], {})
+        exec(*code_of("pytorch.md", "python"), {})
     finally:
         torch.set_default_dtype(before)
     np.testing.assert_allclose([float(word) for word in capsys.readouterr().out.split()], [0.04, 0.2, 0.1], rtol=0.01)
@@ -397,7 +392,7 @@ def test_the_page_reads_a_run_back(finished_run, tmp_path, monkeypatch, capsys):
     folder, finished = finished_run("mujoco_default")
     (tmp_path / "run").symlink_to(folder)
     monkeypatch.chdir(tmp_path)
-    exec(blocks()[0], {})
+    exec(code_of("python.md", "python")[0], {})
     *summary, armature, errors = capsys.readouterr().out.strip().splitlines()
     told = [
         [line for line in lines if not line.startswith("files: ")] for lines in (summary, finished.out.splitlines())
