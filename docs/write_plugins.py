@@ -20,7 +20,7 @@ HEAD = """# Plug-ins
 
 <!-- Generated from docstrings by `make docs`; edit the docstrings. -->
 
-Everything that you can choose by name. This command also lists plug-ins of other packages:
+A plug-in is a part of frictionzoo that an option selects by name. To list all plug-ins, with those of other packages:
 
 ```bash
 python -m frictionzoo.list

@@ -28,7 +28,7 @@ PRIOR: Mapping[str, float] = {"mass": 0.1, "centre": 0.02, "size": 0.3}
 
 @register_method("inverse_dynamics")
 class InverseDynamics(Fit):
-    """Weighted least squares on torque: the drives' torque must equal what links, armature and friction need.
+    """Weighted least squares between the drive torque and the torque that links, armature and friction need.
 
     This is the standard method for industrial robots. It needs recordings of torque (or of commands that the actuator
     model turns into torque) along motions that excite all joints. Velocities and accelerations come from the positions

@@ -10,7 +10,7 @@ from frictionzoo.models.bristles import settled_force, slip, stribeck_force
 
 @register_model("maxwell_slip")
 class MaxwellSlip(FrictionModel):
-    """Generalised Maxwell-slip model: parallel elements that stick as springs and each slip at a fraction of the limit.
+    """Generalised Maxwell-slip model: parallel springs that slip one after another as the displacement grows.
 
     Use it for presliding with closed loops, as in rolling bearings.
 

@@ -12,7 +12,7 @@ _LEAST = 1e-12  # N m or N, gives zero memory to a joint without friction and to
 
 @register_model("torque_proportional")
 class TorqueProportional(FrictionModel):
-    """Friction proportional to motor torque, separately for driving and braking, that builds up over a displacement.
+    """Friction that grows with motor torque, with separate factors for driving and braking, and has presliding.
 
     Use it for gears that lose a fraction of the motor torque, and another fraction if they are driven backwards.
 
