@@ -1,5 +1,6 @@
 """What `import frictionzoo as fz` offers: laws by name, benches, and rollouts for torch."""
 
+import importlib.resources
 import inspect
 import itertools
 import json
@@ -357,6 +358,22 @@ def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
             fz.law("coulomb_stribeck", nv=joints)
     with pytest.raises(ConfigError, match="kp is given twice"):
         fz.PositionPD({"kp": {}}, kp=1, kd=1)
+
+
+def test_a_run_finds_its_model_file_from_any_folder(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = importlib.resources.files("frictionzoo.bench") / "assets" / "knee_rod.xml"
+    (tmp_path / "stand.xml").write_text(shipped.read_text())
+    done = call("model=mujoco_default", "fit=lm", "bench.mjcf=stand.xml", *tiny, "hydra.run.dir=run")
+    assert done.status == 0, done.err
+    (tmp_path / "other").mkdir()
+    monkeypatch.chdir(tmp_path / "other")
+    fit = fz.load("../run")
+    assert fit.rollout()[0].shape == fit.curves.qpos.shape
+    (tmp_path / "stand.xml").unlink()
+    with pytest.raises(BenchError, match=r"^stand.xml: cannot be read"):
+        fz.load("../run")
 
 
 def test_parameters_are_a_table_with_a_row_per_joint(finished_run: Callable) -> None:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.core.jobs import read_begun
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.segments import Segments
 from frictionzoo.models import FrictionModel
@@ -31,7 +32,7 @@ def build_drive(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, Frict
         FrictionzooError: The MJCF is missing, or MJCF or model do not fit the settings.
     """
     try:
-        bench = build(settings.get("bench"), Bench)
+        bench = build(_find_model_file(folder, settings.get("bench")), Bench)
         model = build(settings.get("model"), FrictionModel, nv=bench.nv)
         model.bind(bench.joints)
         return bench.observing(model.inputs), model
@@ -43,6 +44,16 @@ def build_drive(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, Frict
             f"{folder}: no bench and model can be built from its settings ({reason}); expected a folder that this "
             "program wrote"
         ) from None
+
+
+def _find_model_file(folder: Path, bench: Any) -> Any:
+    """Return a bench's settings; a relative path of its model file may start where the run was started."""
+    started = read_begun(folder, "hydra", "hydra", "runtime", "cwd")
+    mjcf = bench.get("mjcf") if isinstance(bench, Mapping) else None
+    if not isinstance(started, str) or not isinstance(mjcf, str) or Path(mjcf).exists():
+        return bench
+    path = Path(started) / mjcf
+    return {**bench, "mjcf": str(path)} if path.is_file() else bench
 
 
 def load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
