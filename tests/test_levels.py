@@ -1,6 +1,8 @@
 """The order of the package: a room imports only from the rooms above it, and no imports go in a circle."""
 
 import ast
+import pkgutil
+import re
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -23,6 +25,15 @@ ALLOWED = {
 """Libraries that a room forbids, and the files in it that are there to join them."""
 FILES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
 FILES.pop("__init__")  # it names where everything public lives, and imports none of it
+
+
+def test_the_guide_names_what_exists() -> None:
+    """The functions on the way from `identify` to a `Result`, in CONTRIBUTING."""
+    rows = re.findall(r"^\| (`(?:api|\w+)\.\w+.*?) \|", (PACKAGE.parent / "CONTRIBUTING.md").read_text(), re.MULTILINE)
+    names = [name for row in rows for name in re.findall(r"`(\w+\.[\w.]+)`", row) if not name.endswith(".py")]
+    assert len(names) >= 12, names
+    for name in names:
+        assert pkgutil.resolve_name(f"frictionzoo.{name}"), name
 
 
 def room(file: str) -> str:

@@ -159,7 +159,7 @@ def identify(
         method: Name of a fit, such as `auto`, `lm`, `adam`, `grid` or `known`, or a `Fit` with options.
         segments: Segments of the fit: arguments of `frictionzoo.core.segments.cut_segments`.
         loss: Loss of the fit: fields of `frictionzoo.fit.loss.Loss`.
-        evaluation: Evaluation rollouts: arguments of `frictionzoo.result.evaluate.Evaluation`.
+        evaluation: Evaluation rollouts: arguments of `frictionzoo.result.evaluate.Evaluator`.
         loop: Fit loop: arguments of `frictionzoo.fit.run_fit`.
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, by default 1 in SI units; bounds and
             initial values of a model given by name are multiples of them.

@@ -67,7 +67,7 @@ class Parts:
 
     Attributes:
         settings: All options that the record reports; among them `segments`, `loss` and `evaluation`, the arguments of
-            `cut_segments`, `Objective` and `Evaluation`.
+            `cut_segments`, `Objective` and `Evaluator`.
         model: The friction model; it is prepared for the data, and a fit leaves the best values in it.
         doubts: Likely faults of the recordings, and warnings where the wanted accuracy is not reached.
         choices: Automatic settings in the order in which they were chosen.

@@ -92,12 +92,12 @@ class Stages(Trials):
         elif not self._has_pilots:
             return
         pilot = self._pilot()
-        self._found = PilotResult.begun(pilot.space.labels, pilot.start)
+        self._result = PilotResult.begun(pilot.space.labels, pilot.start)
         if self._has_pilots:
-            self._found = pilot.balance(self.bench({"delay"}))
+            self._result = pilot.balance(self.bench({"delay"}))
         if not is_open:
             return
-        growth = pilot.growth(self._found)
+        growth = pilot.growth(self._result)
         stable = int(np.argmax(growth > _GROWTH)) if (growth > _GROWTH).any() else longest
         length = max(min(FEWEST, longest), stable)
         reason = f"forces amplify the position error due to an initial velocity error {growth[length - 1]:.2g}-fold"
@@ -107,7 +107,7 @@ class Stages(Trials):
         """Choose least squares, unless the model lacks something and a robust loss has a smaller validation error."""
         pilot = self._pilot()
         self._go_on(pilot)
-        delays = self._found.vector[[label == "bench.delay" for label in self._found.labels]]
+        delays = self._result.vector[[label == "bench.delay" for label in self._result.labels]]
         is_late = delays.any() and self._bench.params["delay"].from_coordinate(delays, np) > _LATE * self._interval
         if self._look(pilot).is_more_than_noise or is_late:
             self._go_on(pilot, thorough=True)  # there may be another minimum
@@ -117,7 +117,7 @@ class Stages(Trials):
         self._lacking, self._rounded, reason = misfit.is_more_than_noise, misfit.is_rounding, str(misfit)
         self._choose_encoder()
         if self._lacking:
-            misfit = self._measure(pilot.errors(self._found, self._train, self._horizon * self._interval))
+            misfit = self._measure(pilot.errors(self._result, self._train, self._horizon * self._interval))
         longer = max(self._horizon, self.settings["segments"]["length"])
         robust = {"robust": "soft_l1", "robust_scale": misfit.scale, "refine": False, "length": longer}
         scale_reason = "larger errors get less weight"
@@ -143,10 +143,10 @@ class Stages(Trials):
     def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
         count = len(pilot.space.labels)
         tell(f"automatic settings: fitting {count} parameters in steps of {1e3 * self._first_step:.3g} ms")
-        self._found, self._last = pilot.fit(self._found, self._out, thorough), pilot
+        self._result, self._last_pilot = pilot.fit(self._result, self._left_out, thorough), pilot
 
     def _look(self, pilot: Pilot) -> Misfit:
-        return self._measure(pilot.residuals(self._found))
+        return self._measure(pilot.residuals(self._result))
 
     def _measure(self, errors: Float[np.ndarray, "batch time nv"]) -> Misfit:
         return Misfit.of(errors, self._noise.position, bool(self.settings["loss"]["by_joint"]))
@@ -156,15 +156,15 @@ class Stages(Trials):
         reason = "the model has no friction constraint"
         if np.any(self._model.constrained):
             stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
-            softer, soft = pilot.simulate(self.bench(OPTIONAL)), self._found
+            softer, soft = pilot.simulate(self.bench(OPTIONAL)), self._result
             step, loss = pilot.approaching(softer, soft).step(soft)  # a rough prediction with stiff slopes
             if (ratio := loss / soft.loss) < _HOPELESS:
                 soft = soft._replace(vector=soft.vector + step)
-                soft = pilot.approaching(softer, soft).fit(soft, self._out)
-                ratio = soft.loss / self._found.loss
+                soft = pilot.approaching(softer, soft).fit(soft, self._left_out)
+                ratio = soft.loss / self._result.loss
             reason = f"MuJoCo's default, {DEFAULT_SOLREFFRICTION[0]:g} s, gives {ratio:.3g} times the loss"
             if ratio < 1:
-                self._found, pilot = soft, self._pilot()
+                self._result, pilot = soft, self._pilot()
                 self._go_on(pilot)
             else:
                 self.settings["bench"] = stiff
@@ -186,27 +186,27 @@ class Stages(Trials):
 
     def _choose_optional(self) -> None:
         """Identify optional parameters that differ clearly from absent ones or reduce the validation error."""
-        pilot, values = self._near, dict[str, str]()
+        pilot, values = self._corrected_pilot, dict[str, str]()
         assert pilot is not None
         self._go_on(pilot)
-        fixed = set(self._out)
+        fixed = set(self._left_out)
         if fixed:
             values |= self._judge_rivals(pilot)
         doubtful = self._doubt(values)
         # If the model lacks something, intervals are wide, and a doubtful parameter may compensate and still help.
         error = self._validate() if doubtful and self._lacking else math.inf
-        self._out |= doubtful
+        self._left_out |= doubtful
         error_ratio = error / self._validate() if math.isfinite(error) else 1.0
         if helps := error_ratio < 1 - _HELPFUL:
-            self._out -= doubtful
-        elif self._out != fixed:  # parameters that are now fixed had biased the others
+            self._left_out -= doubtful
+        elif self._left_out != fixed:  # parameters that are now fixed had biased the others
             self._go_on(pilot)
             if newly_doubtful := self._doubt(values):
-                self._out |= newly_doubtful
+                self._left_out |= newly_doubtful
                 self._go_on(pilot)
         gain = f"; ratio {error_ratio:.3g}"
         for name in self._free:
-            chosen, kept = name not in self._out, _AGREES if name == GAIN else _NOT_SHOWN
+            chosen, kept = name not in self._left_out, _AGREES if name == GAIN else _NOT_SHOWN
             why = _HELPS if helps and name in doubtful else OPTIONAL[name] if chosen else kept
             reason = f"{why} ({values[name]})" + gain * (why == _HELPS)
             self._choose(f"{option_of(name)}.identify", chosen, reason)
@@ -215,21 +215,21 @@ class Stages(Trials):
 
     def _judge_rivals(self, pilot: Pilot) -> dict[str, str]:
         """Leave out the rival that is not identifiable or fits worse; return the reason by its name."""
-        ends = dict(zip(RIVALS, (self._found, pilot.foresee(self._found, *RIVALS)), strict=True))
+        ends = dict(zip(RIVALS, (self._result, pilot.foresee(self._result, *RIVALS)), strict=True))
         shown = {name: self._is_shown(end, name) for name, end in ends.items()}
         best, other = sorted(RIVALS, key=lambda name: (not shown[name][0], ends[name].loss))
-        self._out, self._found = {other}, ends[best]
+        self._left_out, self._result = {other}, ends[best]
         return {other: shown[other][1] + f"; {best} fits better" * shown[other][0]}
 
     def _doubt(self, told: dict[str, str]) -> set[str]:
         """Return optional parameters that are not identifiable at the last result; add all their values to `told`."""
-        shown = {name: self._is_shown(self._found, name) for name in self._free if name not in self._out}
+        shown = {name: self._is_shown(self._result, name) for name in self._free if name not in self._left_out}
         told |= {name: text for name, (_, text) in shown.items()}
         return {name for name, (is_shown, _) in shown.items() if not is_shown}
 
     def _is_shown(self, found: PilotResult, name: str) -> tuple[bool, str]:
         """Return whether an optional parameter is identifiable, and its values with half intervals as text."""
-        param, pilot = self._bench.params[name], self._near
+        param, pilot = self._bench.params[name], self._corrected_pilot
         assert pilot is not None
         rows = [row for row, label in enumerate(found.labels) if label.partition("/")[0] == f"bench.{name}"]
         absent = dict(zip(pilot.space.labels, pilot.absent, strict=True))
@@ -257,7 +257,7 @@ class Stages(Trials):
                     "bench.timestep, and fewer segments with segments.count to save time",
                 )
             )
-        self.start = self._found
+        self.start = self._result
         reason = f"at most {1e3 * COARSEST:g} ms, or a fifth of the sample interval if that is longer"
         self._choose("bench.timestep", self._step, reason)
 
@@ -267,26 +267,26 @@ class Stages(Trials):
         Return the reason to stop, and the largest change by a further halving, in half intervals.
         """
         reason, largest, halvings = "", 0.0, 1
-        if self._near is None:
-            self._near, self._coarse_steps = self._pilot(), self._steps
-            self._coarse = self._near
-            if self._near is not self._last:
-                self._go_on(self._near)
+        if self._corrected_pilot is None:
+            self._corrected_pilot, self._coarse_steps = self._pilot(), self._steps
+            self._coarse_pilot = self._corrected_pilot
+            if self._corrected_pilot is not self._last_pilot:
+                self._go_on(self._corrected_pilot)
         while self._step_is_open:
             bench = self.bench(OPTIONAL)
             softness = None if self._softness_is_open else bench.solreffriction  # a set softness is kept
             for _ in range(halvings):
                 bench = halve_step(bench, softness)
             tell(f"automatic settings: effect of steps of {1e3 * bench.timestep:.3g} ms")
-            near = self._coarse.approaching(self._coarse.simulate(bench), self._found)
-            step, loss = near.step(self._found)
-            if loss > _HOPELESS * self._found.loss:  # the result is one of long steps: slopes there do not hold
+            near = self._coarse_pilot.approaching(self._coarse_pilot.simulate(bench), self._result)
+            step, loss = near.step(self._result)
+            if loss > _HOPELESS * self._result.loss:  # the result is one of long steps: slopes there do not hold
                 tell(f"automatic settings: fitting again in steps of {1e3 * bench.timestep:.3g} ms")
-                fitted = near.fit(self._found, self._out)
-                step = fitted.among(self._found.labels, self._found.vector) - self._found.vector
-            changes = self._found.in_halves(step)
+                fitted = near.fit(self._result, self._left_out)
+                step = fitted.among(self._result.labels, self._result.vector) - self._result.vector
+            changes = self._result.in_halves(step)
             largest = float(changes.max(initial=0.0))
-            label = self._found.labels[int(changes.argmax())]
+            label = self._result.labels[int(changes.argmax())]
             share = {1: "half", 2: "a quarter"}.get(halvings, f"1/{2**halvings}")
             reason = f"at {share} of this timestep, {label} would change by {largest:.2g} of half its interval, "
             reason += "or of 0.3 % if that is larger"
@@ -295,8 +295,8 @@ class Stages(Trials):
             self._change(timestep=bench.timestep)
             if self._softness_is_open:
                 self._change(solreffriction=bench.solreffriction)
-            self._found = self._found._replace(vector=self._found.vector + step)
-            self._near = near
+            self._result = self._result._replace(vector=self._result.vector + step)
+            self._corrected_pilot = near
             # A second-order error falls to a quarter with each halving; the last halving checks that.
             remaining = _ROUNDS - round(math.log2(self._first_step / self._step))
             halvings = max(1, min(remaining, math.ceil(math.log(min(largest, 4.0**_ROUNDS) / _MOVES, 4)) - 1))

@@ -68,12 +68,12 @@ class Trials:
         # Whether pilots represent the fit: Levenberg-Marquardt with few parameters.
         self._has_pilots = isinstance(fit, Auto | LevenbergMarquardt) and is_few
         self._pilots: dict[str, Pilot] = {}  # by their settings
-        self._found: PilotResult  # result of the last pilot
-        self._last: Pilot | None = None  # the last pilot
-        self._near: Pilot | None = None  # pilot with the chosen loss, corrected to the chosen timestep
+        self._result: PilotResult  # result of the last pilot
+        self._last_pilot: Pilot | None = None  # the last pilot
+        self._corrected_pilot: Pilot | None = None  # pilot with the chosen loss, corrected to the chosen timestep
         self._first_step, self._coarse_steps = self._step, self._steps
         # Optional parameters fixed at 0. Rivals act nearly alike, so only one of them is tried at a time.
-        self._out: set[str] = set(RIVALS[1:]) if {*RIVALS} <= {*self._free} else set()
+        self._left_out: set[str] = set(RIVALS[1:]) if {*RIVALS} <= {*self._free} else set()
         self._noise = Noise.of(self._train)
         self._lacking = False  # whether the residual exceeds noise
         self._rounded = False  # whether encoder rounding explains the residual
@@ -108,14 +108,14 @@ class Trials:
         chosen = settings["bench"]
         if self._softness_is_open and chosen["solreffriction"][0] > 2 * chosen["timestep"]:  # softer than stiff
             self._change(solreffriction=chosen["solreffriction"])
-        self._coarse_steps, self.settings, self._found = self._steps, {**settings}, found
+        self._coarse_steps, self.settings, self._result = self._steps, {**settings}, found
         return self._find_pilot()
 
     def _is_open(self, option: str) -> bool:
         return is_open(self._given, option)
 
     def _choose(self, option: str, value: Any, reason: str) -> None:
-        """Set an option if it is open, and record the choice."""
+        """Set an option and record the choice, unless the user set it, or the open options lack it."""
         if self._is_open(option):
             put(self.settings, option, value)
             self.choices.append(AutomaticSetting(option, value, reason))
@@ -126,7 +126,7 @@ class Trials:
         options = self._how(most_steps, **given)
         key = repr((self._step, self.settings["bench"].get("solreffriction"), options))
         if key not in self._pilots:
-            bench, start = self.bench(OPTIONAL), getattr(self, "_found", None)
+            bench, start = self.bench(OPTIONAL), getattr(self, "_result", None)
             self._pilots[key] = Pilot(bench, self._model, self._train, *options, self.settings["engine"], start)
         return self._pilots[key]
 
@@ -137,7 +137,7 @@ class Trials:
         pilot = self._pilot(MOST_STEPS)
         self._change(**chosen)
         if chosen != self._coarse_steps:
-            pilot = pilot.approaching(pilot.simulate(self.bench(OPTIONAL)), self._found)
+            pilot = pilot.approaching(pilot.simulate(self.bench(OPTIONAL)), self._result)
         return pilot
 
     def _how(self, most_steps: float, **given: Any) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -176,11 +176,11 @@ class Trials:
 
     def _validate(self, **given: Any) -> float:
         """Return the mean position error on a validation block of the training recordings; `given` as in `_pilot`."""
-        key = repr((self.settings["bench"], self._how(_FIRST_STEPS, **given), sorted(self._out)))
+        key = repr((self.settings["bench"], self._how(_FIRST_STEPS, **given), sorted(self._left_out)))
         if key not in self._validated:  # an earlier stage may have asked
             pilot = self._pilot(**given)
             is_fitted, block = hold_back(pilot.segments, self._train)
-            result = pilot.fit(self._found, self._out, kept=is_fitted)
+            result = pilot.fit(self._result, self._left_out, kept=is_fitted)
             horizon = min(self._horizon, longest_window(block))
             self._validated[key] = float(np.abs(pilot.errors(result, block, horizon * self._interval)).mean())
         return self._validated[key]
