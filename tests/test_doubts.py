@@ -338,7 +338,7 @@ def test_a_parameter_that_moves_when_the_fit_ends_is_named() -> None:
 def test_a_drive_without_friction_at_a_bound_is_no_reference() -> None:
     (row,) = at_bounds("armature", low=1.0)
     said = doubt_reference([row])
-    assert said is not None and "bench.armature at its bound of [1, 2] kg" in said
+    assert said is not None and "bench.armature ended at a bound of [1, 2] kg" in said
     row.at_bound = False
     assert doubt_reference([row]) is None
 

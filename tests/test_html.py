@@ -318,8 +318,8 @@ def test_no_doubts_about_a_good_run(record):
         ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "did not converge"),
         ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
         ({"fit.stopped": "finished", "fit.method": "known"}, "Fit", "note", "Nothing was identified"),
-        ({"fit.moving": ["bench.armature"]}, "Fit", "caution", "Still moving at the end of the fit: bench.armature;"),
-        ({"reference.0.at_bound": True}, "Reference", "caution", "drive without friction ended with bench.armature"),
+        ({"fit.moving": ["bench.armature"]}, "Fit", "caution", "Parameters still moving at the end of the fit: bench"),
+        ({"reference.0.at_bound": True}, "Reference", "caution", "fit without friction, bench.armature ended"),
         ({"not_identified": ["why", "this"]}, "Not identified", "bad", "not identified: why; likely reasons: this."),
         ({"parameters.0.at_bound": True}, "Bounds", "caution", "armature ended at a bound of [0.001, 1] kg m^2; widen"),
         (

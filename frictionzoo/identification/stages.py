@@ -288,8 +288,8 @@ class Stages(Trials):
             largest = float(changes.max(initial=0.0))
             label = self._result.labels[int(changes.argmax())]
             share = {1: "half", 2: "a quarter"}.get(halvings, f"1/{2**halvings}")
-            reason = f"at {share} of this timestep, {label} would change by {largest:.2g} of half its interval, "
-            reason += "or of 0.3 % if that is larger"
+            reason = f"at {share} of this timestep, {label} would change by {largest:.2g} times its uncertainty "
+            reason += "(half its interval, or 0.3 % of its value if that is larger)"
             if largest <= _MOVES or bench.timestep < self._first_step / 2**_ROUNDS:
                 break
             self._change(timestep=bench.timestep)

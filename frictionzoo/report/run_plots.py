@@ -183,8 +183,8 @@ def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
         across, up = frame([x, position]), frame([y, speed])
         axes = Axis("position", units["position"], limits=across), Axis("velocity", units["velocity"], limits=up)
         panel = Panel(marks, *axes)
-        text = f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s. Where the curves "
-        text += "separate at zero velocity, the simulated drive starts or stops elsewhere than measured."
+        text = f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s. If the curves "
+        text += "separate at zero velocity, the simulated drive starts or stops at another position than measured."
         yield Figure(f"Phase plot of {name}", text, (panel,))
 
 

@@ -238,7 +238,7 @@ def _list_torque(torque: Torque) -> Rows:
 
 
 def _list_written(result: Result) -> Rows:
-    rows = [("loaded in MuJoCo, differs by", "mean", "largest", "unit", "of the test error")]
+    rows = [("difference in MuJoCo", "mean", "largest", "unit", "of the test error")]
     for row in result.written:
         share = "" if row.share is None else say_percent(row.share)
         rows.append((row.file, format_number(row.mean), format_number(row.largest), row.unit, share))

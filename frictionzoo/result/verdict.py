@@ -166,7 +166,7 @@ def _doubt_fit(fit: types.FitRecord) -> Iterator[types.ResultFinding]:
             "fit", f"the loss still fell by {say_percent(fit.falling)} in the last tenth of the iterations", _MORE
         )
     if fit.moving:
-        yield _find("fit", f"still moving at the end of the fit: {', '.join(fit.moving)}", _MORE)
+        yield _find("fit", f"parameters still moving at the end of the fit: {', '.join(fit.moving)}", _MORE)
 
 
 def _doubt_parameters(result: Result) -> Iterator[types.ResultFinding]:
@@ -192,7 +192,7 @@ def _doubt_stability(result: Result) -> Iterator[types.ResultFinding]:
     if diverged:
         counts = [f"{m.diverged} of {m.rollouts} {name} rollouts of {m.horizon:g} s" for name, m in diverged]
         severe = any(not name.startswith("frictionless") for name, _ in diverged)
-        yield _find("stability", f"diverged and excluded from the errors: {'; '.join(counts)}", severe=severe)
+        yield _find("stability", f"diverged rollouts, excluded from the errors: {'; '.join(counts)}", severe=severe)
 
 
 def _doubt_residual(residual: types.Residual) -> Iterator[types.ResultFinding]:
@@ -285,13 +285,13 @@ def _say_law(place: types.ResidualFactor) -> str:
             f"payload{times}; the data do not distinguish these causes"
         )
     if place.place == "gap":
-        return f"{place.law} has that term" if place.law else "check the model's gap and its initial value"
+        return f"the model {place.law} has this term" if place.law else "check the model's gap and its initial value"
     if place.place == "pull":
         return "this is not friction: check gravity, payload and springs of the bench, or motor cogging"
     if place.law is None:
-        return "the model has that term; check its form and bounds" if place.known else "no model has that term"
-    other = "another form of that term" if place.known else "that term"
-    return f"{place.law} has {other}" + ("" if place.whole else ", but lacks other terms of this model")
+        return "the fitted model has this term; check its form and bounds" if place.known else "no model has this term"
+    other = "another form of this term" if place.known else "this term"
+    return f"the model {place.law} has {other}" + ("" if place.whole else ", but lacks other terms of the fitted model")
 
 
 def explain_failure(result: Result) -> list[str] | None:
@@ -382,8 +382,8 @@ def doubt_joints(result: Result) -> str | None:
 def doubt_reference(parameters: Sequence[ReferenceParameter]) -> str | None:
     """Report that the drive without friction, the baseline, ended at bounds; None if it did not."""
     ended = [
-        f"{name_where(p, at_bound=True)} at its bound of {say_bounds(p)} {p.unit}" for p in parameters if p.at_bound
+        f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)} {p.unit}" for p in parameters if p.at_bound
     ]
     if not ended:
         return None
-    return f"the drive without friction ended with {' and '.join(ended)}: the change from its error is unreliable"
+    return f"in the fit without friction, {' and '.join(ended)}: the change from its error is unreliable"
