@@ -74,10 +74,10 @@ def test_a_link_between_pages_leads_to_a_place_on_the_site(site: Path) -> None:
 
 
 def test_the_readme_is_the_front_page_and_leads_every_reader_to_a_tutorial(site: Path) -> None:
-    front, data = ((site / f"{name}.html").read_text() for name in ("index", "data"))
+    front, data, sets = ((site / f"{name}.html").read_text() for name in ("index", "data", "datasets"))
     assert "<code>FRICTIONZOO_DATA</code>" in front and "README.md" not in front and "Identify a drive" in data
     assert 'href="data.html"' in front and 'href="CONTRIBUTING.html"' in front and (site / "landing.svg").exists()
-    assert 'href="experiments/emps/index.html"' in data and 'href="notebooks/quickstart.html"' in data
+    assert 'href="experiments/emps/index.html"' in sets and 'href="notebooks/quickstart.html"' in data
     linked = re.findall(r'href="?tutorials/(\w+)\.html', front.partition("<article")[2].partition("</article>")[0])
     assert {*linked} == {path.stem for path in (ROOT / "docs" / "tutorials").glob("*.md")} and len({*linked}) >= 5
 

@@ -55,7 +55,7 @@ def test_a_named_option_exists():
 
 
 def test_a_page_lists_every_choice():
-    for group, page in (("data", "data"), ("logger", "fits"), ("fit", "fits"), ("experiment", "run")):
+    for group, page in (("data", "datasets"), ("logger", "output"), ("fit", "fits"), ("experiment", "experiments")):
         listed = {*re.findall(r"(?<=[`\[])\w+(?=[`\]])", (ROOT / "docs" / f"{page}.md").read_text())}
         assert {path.stem for path in (CONF_DIR / group).glob("*.yaml")} <= listed
 
