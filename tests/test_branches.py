@@ -63,7 +63,7 @@ def test_a_robot_of_branches_is_simulated_as_mujoco_does(robot: Callable[..., Be
     signals = Signals(rng.normal(size=(40, 5)))
     recorded = Recorded(rng.normal(size=(40, 5)), rng.normal(size=(40, 5)), signals, np.zeros((40, 0)))
     drive = Drive.assemble(bench, model, "auto")
-    assert drive.engine.name == "specialised" and drive.engine.note.startswith("the dynamics come down to 2 x ")
+    assert drive.engine.name == "specialised" and drive.engine.note.startswith("the dynamics reduce to 2 x ")
     assert prove(bench, model, "specialised", initial_values(bench, model), recorded).rollout < 1e-11
 
 

@@ -145,7 +145,7 @@ def _say_shown(result: Result, curves: Curves) -> str:
         error, baseline_error = (value if np.isfinite(value) else None for value in errors)
         change = format_change(error, baseline_error)
         about = "; ".join(
-            filter(None, (change and f"{change} against no friction", say_where(result.data, curves, rollout)))
+            filter(None, (change and f"{change} compared with no friction", say_where(result.data, curves, rollout)))
         )
         texts.append(f"{name} {format_number(error)} {test.unit}" + (f" ({about})" if about else ""))
     count, duration = len(curves.qpos), result.data.timestep * curves.qpos.shape[1]
@@ -230,7 +230,7 @@ def _check_gain(result: Result) -> Finding:
         return Finding("note", TITLES["gain"], "This model has no friction: it is compared with itself.")
     if test is None or not baseline:
         return Finding("note", TITLES["gain"], "The drive without friction has no test error to compare with.")
-    text = f"The test error is {baseline / test:.3g} times smaller than without friction"
+    text = f"Without friction, the test error is {baseline / test:.3g} times as large"
     if doubt_reference(result.reference):
         return Finding("note", TITLES["gain"], f"{text}; this comparison is unreliable, see the reference.")
     return Finding("good", TITLES["gain"], f"{text}.")

@@ -286,12 +286,12 @@ def _draw_portrait(portrait: Portrait, crosses: bool) -> Iterator[Mark]:
 def _say_portrait(portrait: Portrait, unit: str) -> str:
     filled = np.isfinite(portrait.where)
     if not filled.any():
-        return "the model; the recordings determine no implied friction."
+        return "curve of the model. The recordings imply no friction values."
     gap = portrait.implied[filled] - np.interp(portrait.where[filled], portrait.at, portrait.law)
     size = float(np.abs(portrait.implied[filled]).mean()) or 1.0
     return (
-        "the model, and the friction implied by the recorded torque in motion: its median and 10 to 90 % range in "
-        f"{filled.sum()} bin{'s' * bool(filled.sum() > 1)}. The medians differ from the curve by "
+        "curve of the model, and points of the friction implied by the recorded torque in motion, as median and 10 to "
+        f"90 % range in {filled.sum()} bin{'s' * bool(filled.sum() > 1)}. The medians differ from the curve by "
         f"{format_number(float(np.abs(gap).mean()))} {unit} on average, {say_percent(np.abs(gap).mean() / size)} of "
         "the friction."
     )

@@ -54,7 +54,7 @@ class SpecialisedEngine(Engine):
             f"{len(part.joints)} x {part.acting.operations + part.rigid.operations}".removeprefix("1 x ")
             for part in self._groups
         )
-        self.note: str = f"the dynamics come down to {' + '.join(operations)} scalar operations"
+        self.note: str = f"the dynamics reduce to {' + '.join(operations)} scalar operations"
         self._order = np.argsort(np.concatenate([group.joints.ravel() for group in self._groups]))
         self.bench = bench
         self.friction = friction
