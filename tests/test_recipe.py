@@ -113,7 +113,8 @@ def test_a_drive_is_found_with_nothing_said(found: fz.Identified) -> None:
     assert chosen["loss.refine"] is True and chosen["dtype"] == found.result["dtype"] == "float64"
     for option, value in chosen.items():
         assert reduce(operator.getitem, option.split("."), found.result["settings"]) == value, option
-    assert all(row["reason"] for row in found.result["recipe"])
+    reasons = {row["option"]: row["reason"] for row in found.result["recipe"]}
+    assert all(reasons.values()) and "of this timestep" in reasons["bench.timestep"]  # the effect of a halving
 
 
 @pytest.mark.usefixtures("in_haste")

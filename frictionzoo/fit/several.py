@@ -144,7 +144,7 @@ class Searches:
         delays = [i for i, label in enumerate(self._space.labels) if label == "bench.delay" and self._kept[i]]
         if recordings is not None and delays:
             found = self._shift(found, delays[0], recordings.logs[0].timestep)
-        _log.debug("multi-start: %s gave the best result", found.name)
+        _log.debug("multi-start: best result from %s", found.name)
         return found
 
     def _moving(self, vector: Float[np.ndarray, "coordinates"]) -> Part:
@@ -199,7 +199,7 @@ class Searches:
             patience=self._patience,
             goal=goal,
         )
-        _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
+        _log.debug("%s: loss %.9g, started at %s", part.law.__name__, loss, name)
         return End(name, part.whole(coordinates), loss)
 
     def _shift(self, best: End, at: int, interval: float) -> End:
@@ -237,7 +237,7 @@ class Searches:
             start = np.where(inertia & self._kept, self._space.start, best.vector)
             start[at] = share * best.vector[at]
             if not leads_back(start):
-                name = f"the previous best with the initial armature and {share:g} of the delay"
+                name = f"the previous best with the initial armature and {share:g} times the delay"
                 ends.append(self._descend(whole, name, start, _SHORT, leads_back, best.loss))
         return _least(ends)
 

@@ -235,7 +235,7 @@ def _shorten(evaluation: Mapping[str, Any], dataset: Dataset) -> Iterator[Automa
     horizons = [limit(horizon, min(test, train)) for horizon in evaluation["horizons"]]
     lengths = {option: limit(evaluation[option], test) for option in ("trajectory", "local")}
     lengths["window"] = limit(evaluation["window"], lengths["trajectory"])
-    reason = f"rollouts of {{}} s, with a sample every {interval:g} s; test recordings last {test:g} s"
+    reason = f"instead of {{}} s: test recordings last {test:g} s, with a sample every {interval:g} s"
     for option, value in {"horizons": list(dict.fromkeys(horizons)), **lengths}.items():
         if value != (before := evaluation[option]) and (option != "horizons" or horizons != list(before)):
             shown = ", ".join(f"{seconds:g}" for seconds in before) if option == "horizons" else f"{before:g}"

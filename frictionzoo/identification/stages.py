@@ -100,7 +100,7 @@ class Stages(Trials):
         growth = pilot.growth(self._result)
         stable = int(np.argmax(growth > _GROWTH)) if (growth > _GROWTH).any() else longest
         length = max(min(FEWEST, longest), stable)
-        reason = f"forces amplify the position error due to an initial velocity error {growth[length - 1]:.2g}-fold"
+        reason = f"forces multiply the effect of an initial velocity error on the position by {growth[length - 1]:.2g}"
         self._choose("segments.length", length, f"{length * self._interval:.3g} s: {reason}")
 
     def _choose_loss(self) -> None:
@@ -258,7 +258,6 @@ class Stages(Trials):
                 )
             )
         self.start = self._result
-        reason = f"at most {1e3 * COARSEST:g} ms, or a fifth of the sample interval if that is longer"
         self._choose("bench.timestep", self._step, reason)
 
     def _shorten(self) -> tuple[str, float]:
