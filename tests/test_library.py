@@ -326,14 +326,46 @@ class OfTensors(TorchFriction):
         return self.forward(state)
 
 
-@pytest.mark.parametrize("law", [Plain(), torch.nn.Linear(1, 1), Plain, "stribeck", None], ids=str)
-def test_a_law_that_is_no_friction_model_is_refused(bench: fz.Bench, law: Any) -> None:
-    with pytest.raises(
-        ConfigError, match="^law: .*FrictionModel" + (".*TorchFriction" if isinstance(law, torch.nn.Module) else "")
-    ):
+@pytest.mark.parametrize("law", [Plain, "stribeck", None], ids=str)
+def test_a_law_that_is_no_module_is_refused(bench: fz.Bench, law: Any) -> None:
+    with pytest.raises(ConfigError, match=r"^law: .*FrictionModel.*torch module"):
         UNCHECKED(bench, law, *whole())
     with pytest.raises(ConfigError, match=r"^bench: "):
         UNCHECKED(law, fz.law("coulomb_smooth"), *whole())
+
+
+@pytest.mark.parametrize("module", [Plain(), torch.nn.Linear(1, 1)], ids=str)
+def test_a_module_of_other_shapes_is_refused(bench: fz.Bench, module: torch.nn.Module) -> None:
+    with pytest.raises(ModelError, match=rf"^{type(module).__name__}: .*expected a? ?t\w+ of shape \(2, 1\)"):
+        fz.rollout(bench, module, *whole())
+
+
+class Cubic(TorchFriction):
+    """What `Module` computes, as a friction model."""
+
+    name = "cubic"
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.layer = torch.nn.Linear(2, 1)
+
+    def forward(self, state: Any) -> FrictionTerms:
+        return FrictionTerms(torque=torch.tanh(self.layer(torch.stack([state.qpos[:, 0], state.qvel[:, 0]], dim=1))))
+
+
+def test_any_torch_module_is_a_friction_model(bench: fz.Bench) -> None:
+    law = Cubic()
+    module = torch.nn.Sequential(law.layer, torch.nn.Tanh())
+    gradients = []
+    for model in (law, module):
+        for _ in range(2):  # the second time as compiled
+            found = fz.rollout(bench, model, *(part.double() for part in whole()))
+        (gradient,) = torch.autograd.grad(found[0].square().sum(), [law.layer.weight])
+        gradients.append((*found, gradient))
+    for own, other in zip(*gradients, strict=True):
+        torch.testing.assert_close(own, other, rtol=1e-12, atol=0)
+    assert law.layer.weight.dtype == gradients[0][2].dtype == torch.float32  # a module of the caller's stays as it is
+    assert gradients[0][0].dtype == torch.float64
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,10 @@ from torch import Tensor
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import NO_PAYLOAD
-from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
+from frictionzoo.core.errors import BenchError, ConfigError, ModelError, closest, refuse_unlike
 from frictionzoo.core.log import Payload
-from frictionzoo.core.state import Signals
-from frictionzoo.models import FrictionModel
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
+from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.simulation.bridge import as_torch_function
 from frictionzoo.simulation.context import refuse_late_fork
 from frictionzoo.simulation.drive import Drive
@@ -27,9 +27,27 @@ Array = Tensor | np.ndarray
 """Tensor, NumPy array, or another object that NumPy reads as an array."""
 
 
+class ModuleFriction(TorchFriction):
+    """Friction of a torch module that maps positions and velocities, shape (..., 2 nv), to torques, shape (..., nv)."""
+
+    def __init__(self, module: torch.nn.Module, nv: int) -> None:
+        super().__init__(nv)
+        self.name = type(module).__name__
+        self.module = module
+
+    def forward(self, state: DriveState) -> FrictionTerms:
+        """Compute the torque, which opposes motion if it has the sign of the velocity."""
+        states = torch.cat([state.qpos, state.qvel], dim=-1)
+        try:
+            return FrictionTerms(torque=self.module(states))
+        except (RuntimeError, TypeError) as error:  # another number of inputs
+            shapes = f"{tuple(states.shape)}, expected torques of shape {tuple(state.qvel.shape)}"
+            raise ModelError(f"{self.name}: {error}; called with positions and velocities of shape {shapes}") from error
+
+
 def rollout(
     bench: Bench,
-    law: FrictionModel,
+    law: torch.nn.Module,
     qpos: Array,
     qvel: Array,
     ctrl: Array,
@@ -50,7 +68,9 @@ def rollout(
 
     Args:
         bench: The test stand.
-        law: The friction model; a memory begins as if the first state had lasted.
+        law: The friction model; a memory begins as if the first state had lasted. Any other torch module is called with
+            positions and velocities, of shape (batch, 2 nv), and returns the friction torques, of shape (batch, nv),
+            positive against positive velocity.
         qpos: Initial position [rad or m], of shape (batch, nv).
         qvel: Initial velocity [rad/s or m/s], of shape (batch, nv).
         ctrl: Command of each joint's actuator, of shape (batch, time, nv); sample i acts from state i to state i + 1.
@@ -75,12 +95,12 @@ def rollout(
     """
     refuse_late_fork()
     _refuse_others(bench, law, parameters, signals, payload, engine)
+    law = law if isinstance(law, FrictionModel) else _wrap(law, bench.nv)
     interval = bench.timestep if interval is None else _to_interval(interval)
     arrays = {"qpos": qpos, "qvel": qvel, "ctrl": ctrl, **{f"signals.{name}": v for name, v in (signals or {}).items()}}
     tensors = _to_tensors(arrays)
     qpos, qvel, ctrl = (tensors.pop(name) for name in ("qpos", "qvel", "ctrl"))
     precision = qpos.dtype, bool(jax.config.read("jax_enable_x64"))
-    # Before the values are read, because it may change the model's dtype.
     drive, function, history = _compile(bench, law, engine, interval, precision)
     bench = drive.engine.bench
     values = _values(bench, law, parameters or {}, qpos)
@@ -101,6 +121,11 @@ def rollout(
     return function(*arguments)
 
 
+@lru_cache(16)  # the same wrapper for each call, so that its drive stays compiled
+def _wrap(module: torch.nn.Module, nv: int) -> ModuleFriction:
+    return ModuleFriction(module, nv)
+
+
 @lru_cache(16)  # drives in this process
 def _compile(
     bench: Bench, law: FrictionModel, engine: str, interval: float, precision: tuple[torch.dtype, bool]
@@ -118,11 +143,8 @@ def _compile(
 
 def _refuse_others(bench: Any, law: Any, parameters: Any, signals: Any, payload: Any, engine: Any) -> None:
     refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
-    expected = "a FrictionModel, as fz.law('stribeck') is"
-    if isinstance(law, torch.nn.Module):
-        derived = "derive yours from frictionzoo.models.TorchFriction"
-        expected += f"; {derived}, with a forward(state) from DriveState to FrictionTerms"
-    refuse_unlike("law", law, FrictionModel, expected)
+    expected = "a FrictionModel, as fz.law('stribeck') is, or a torch module from states to torques"
+    refuse_unlike("law", law, torch.nn.Module, expected)
     for name, value in {"parameters": parameters, "signals": signals}.items():
         refuse_unlike(name, value, (Mapping, type(None)), "a mapping from name to tensor, or None")
     refuse_unlike("payload", payload, (Payload, type(None)), "a Payload, or None")

@@ -56,7 +56,6 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling)
             f"{label}: a memory of {model.memory} in a law that exists only in torch, expected 0; derive it from "
             "FrictionModel"
         )
-    model.double()
     if sampling.second_order:
         raise ConfigError(
             f"bench.second_order=true: {label} exists only in torch, in which rollouts are of first order; set "
