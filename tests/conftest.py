@@ -400,6 +400,7 @@ RUNS = {  # options of the runs of `finished_run`, besides those of `tiny`
     "coulomb_smooth": ("model=coulomb_smooth", "fit.iterations=3"),
     "coulomb_stribeck": ("model=coulomb_stribeck", "fit=lm"),
     "neural_friction": ("model=neural_friction", "model.hidden=[4,4]", "segments.length=3", "fit.iterations=3"),
+    "actuator_lstm": ("model=actuator_lstm", "model.hidden=[4]", "model.units=2", "fit=lm"),
     "sweep": ("-m", "model=baseline,coulomb_smooth", "fit.iterations=3"),
 }
 

@@ -157,7 +157,10 @@ def test_paths_in_a_robot_s_file_are_told() -> None:
     assert find_paths(text.encode()) == ["/home/me", "/opt/a"]
 
 
-@pytest.mark.parametrize("name", ["mujoco_default", "coulomb_stribeck", "neural_friction"])
+@pytest.mark.parametrize(
+    "name",
+    ["mujoco_default", "coulomb_stribeck", "neural_friction", pytest.param("actuator_lstm", marks=pytest.mark.slow)],
+)
 def test_it_moves_as_the_run_did_wherever_it_lies(finished_run: Callable, tmp_path: Path, name: str) -> None:
     run = fz.load(finished_run(name)[0])
     assert run.folder

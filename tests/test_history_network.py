@@ -9,7 +9,7 @@ import torch
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState
-from frictionzoo.models import Dahl, FrictionModel, HistoryNetwork, NeuralFriction
+from frictionzoo.models import ActuatorLSTM, Dahl, FrictionModel, HistoryNetwork, NeuralFriction
 
 STEP = 1e-3  # s
 TIMES = (0.002, 2.0)
@@ -128,14 +128,22 @@ def test_a_memory_that_is_none_is_refused(options, message):
         HistoryNetwork(1, [4], **{"memory": 2, "time_constants": TIMES, "seed": 0, **options})
 
 
-def test_it_learns_hysteresis_that_no_network_without_memory_does():
+@pytest.mark.parametrize(
+    "recurrent",
+    [
+        HistoryNetwork(1, [16], 2, TIMES, 0),
+        ActuatorLSTM(1, [16], 3.0, 4, 0, {"frictionloss": 1e-9, "damping": YIELDS["viscous_coefficient"]}),
+    ],
+    ids=lambda law: law.name,
+)
+def test_it_learns_hysteresis_that_no_network_without_memory_does(recurrent):
     """Dahl's spring along traces of 50 ms, by descent through the memory; the judge are traces that it never saw."""
     truth, trace, unseen = Dahl(1, YIELDS), make_trace(48, 50, 0), make_trace(48, 50, 1)
     with torch.no_grad():
         target, expected = along(truth, trace), along(truth, unseen)
     samples = stack(trace).map(lambda signal: signal.reshape(-1, 1).numpy())
     errors = []
-    for law in (HistoryNetwork(1, [16], 2, TIMES, 0), NeuralFriction(1, [16], 0)):
+    for law in (recurrent, NeuralFriction(1, [16], 0)):
         law.prepare(samples._replace(motor_torque=target.reshape(-1, 1).numpy()))
         optimiser = torch.optim.Adam(law.parameters(), lr=0.03)
         for _ in range(120):

@@ -50,6 +50,7 @@ REFUSED = {  # what is chosen, and arguments whose value is of another kind, or 
     "model=neural_friction": f"model.hidden=[{10**9}] model.hidden=[1.5]",
     "model=history_network": f"model.memory={10**9} model.time_constants=[0.1]",
     "model=maxwell_slip": f"model.elements={10**9}",
+    "model=actuator_lstm": f"model.units={10**9} model.units=0",
 }
 
 

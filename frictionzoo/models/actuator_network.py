@@ -13,8 +13,29 @@ LONGEST = 1000
 """Largest number of simulation steps in the history."""
 
 
+class ActuatorModel(ResidualNetwork):
+    """Model with a network of the torque and velocity of the actuator, which `target=actuator_net` writes.
+
+    Attributes:
+        history: Simulation steps whose torque and velocity are inputs, the present one, 0, first.
+    """
+
+    sees = ("speed", "slow", "fast", "direction", "load", "reversal")
+    count: ClassVar[int] = 2
+    export_target: ClassVar[str] = "actuator_net"
+    history: Sequence[int] = (0,)
+
+    def signals(self, state: DriveState) -> list[Any]:
+        """See `NetworkModel.signals`."""
+        return [state.motor_torque, state.qvel]
+
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
+        """Return the terms as if the state had lasted."""
+        return self.advance(xp, values, state, self.settle(xp, values, state), 0.0)[0]
+
+
 @register_model("actuator_network")
-class ActuatorNetwork(ResidualNetwork):
+class ActuatorNetwork(ActuatorModel):
     """MuJoCo's dry friction and damping, plus a bounded neural network of the actuator's recent torque and velocity.
 
     Use it to train the actuator network that Isaac Lab, mjlab and Newton load: `target=actuator_net` writes it. It
@@ -56,10 +77,6 @@ class ActuatorNetwork(ResidualNetwork):
         ConfigError: The history has no past step, does not ascend from 0, or is too long; see also `ResidualNetwork`.
     """
 
-    sees = ("speed", "slow", "fast", "direction", "load", "reversal")
-    count: ClassVar[int] = 2
-    export_target: ClassVar[str] = "actuator_net"
-
     def __init__(
         self,
         nv: int,
@@ -78,16 +95,8 @@ class ActuatorNetwork(ResidualNetwork):
             )
         self.columns = 2 * len(steps)
         super().__init__(nv, hidden, residual_limit, seed, params)
-        self.history: list[int] = steps
+        self.history = steps
         self.memory = 2 * steps[-1]
-
-    def signals(self, state: DriveState) -> list[Any]:
-        """See `NetworkModel.signals`."""
-        return [state.motor_torque, state.qvel]
-
-    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """Return the terms as if the state had lasted."""
-        return self.advance(xp, values, state, self.settle(xp, values, state), 0.0)[0]
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """Return torque and velocity of each past step, the newest first, as if the state had lasted."""
@@ -98,12 +107,6 @@ class ActuatorNetwork(ResidualNetwork):
     ) -> tuple[FrictionTerms, Any]:
         """Return the terms with the past steps in memory, and the memory with this step."""
         window = xp.concatenate([xp.stack(self.signals(state), -1), memory], -1)
-        share = self.share(xp, values, window)
-        residual = values["residual_limit"] * values["torque_scale"] * share
-        return FrictionTerms(residual, values["frictionloss"], values["damping"]), window[..., : self.memory]
-
-    def share(self, xp: Any, values: Values, window: Any) -> Any:
-        """Return the network's torque as a share of its limit, for torque and velocity of all steps, newest first."""
         picked = [(window[..., 2 * k : 2 * k + 2] - values["input_mean"]) / values["input_std"] for k in self.history]
         x = xp.clip(xp.concatenate(picked, -1), -SPAN, SPAN)
-        return xp.tanh(self.network(xp, values, x)[..., 0])
+        return self.terms_of(xp, values, x), window[..., : self.memory]

@@ -8,7 +8,7 @@ import torch
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import Values, register_model
-from frictionzoo.models.network import MOST_WIDTH, NetworkModel
+from frictionzoo.models.network import MOST_WIDTH, NetworkModel, sigmoid
 
 
 @register_model("history_network")
@@ -95,8 +95,7 @@ class HistoryNetwork(NetworkModel):
         """Return the explicit torque with the memory in this state, and that memory."""
         present, candidate, gate = self._answer(xp, values, state)
         short, long = values["time_constants"][0], values["time_constants"][1]
-        # sigmoid(x) = (1 + tanh(x / 2)) / 2: torch and jax.numpy share only tanh.
-        time = long * xp.exp(0.5 * (1 + xp.tanh(0.5 * gate)) * xp.log(short / long))
+        time = long * xp.exp(sigmoid(xp, gate) * xp.log(short / long))
         memory = memory - xp.expm1(-timestep / time) * (candidate - memory)
         return self._torque(xp, values, present, memory), memory
 

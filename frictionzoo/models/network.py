@@ -56,7 +56,7 @@ class NetworkModel(FrictionModel):
             )
         generator = torch.Generator().manual_seed(seed)
         widths = [self.columns, *hidden, outputs]
-        layers = (_linear(*pair, generator) for pair in itertools.pairwise(widths))
+        layers = (draw_linear(*pair, generator) for pair in itertools.pairwise(widths))
         self.layers: torch.nn.ModuleList = torch.nn.ModuleList(layers)
         with torch.no_grad():
             for weights in self.layers[-1].parameters():
@@ -127,7 +127,12 @@ def reverse(state: DriveState) -> DriveState:
     return state._replace(qvel=-state.qvel, motor_torque=-state.motor_torque, external_torque=-state.external_torque)
 
 
-def _linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.Linear:
+def sigmoid(xp: Any, x: Any) -> Any:
+    """Return 1 / (1 + exp(-x)); torch and jax.numpy share only tanh."""
+    return 0.5 * (1 + xp.tanh(0.5 * x))
+
+
+def draw_linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.Linear:
     """Return a linear layer with PyTorch's usual initial distribution, drawn from this generator."""
     # On the meta device, because the constructor would use the global generator.
     layer = torch.nn.Linear(inputs, outputs, device="meta", dtype=torch.float64).to_empty(device="cpu")

@@ -82,6 +82,9 @@ class ResidualNetwork(NetworkModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the network's torque, the constraint's limit and the damping."""
-        share = xp.tanh(self.network(xp, values, self.bounded(xp, values, state))[..., 0])
-        residual = values["residual_limit"] * values["torque_scale"] * share
+        return self.terms_of(xp, values, self.bounded(xp, values, state))
+
+    def terms_of(self, xp: Any, values: Values, x: Any) -> FrictionTerms:
+        """Return the terms for inputs of the network, of shape (..., nv, columns)."""
+        residual = values["residual_limit"] * values["torque_scale"] * xp.tanh(self.network(xp, values, x)[..., 0])
         return FrictionTerms(residual, values["frictionloss"], values["damping"])

@@ -20,7 +20,8 @@ from frictionzoo.models import FrictionModel, get_model, model_names
 from frictionzoo.models.by_name import complete_laws
 
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
-OPTIONAL = ("actuator_network", "history_network", "maxwell_slip")  # their memory is as long as an option says
+# Their memory is as long as an option says.
+OPTIONAL = ("actuator_lstm", "actuator_network", "history_network", "maxwell_slip")
 MODELS = [name for name in model_names() if not get_model(name).memory and name not in OPTIONAL]
 
 
