@@ -42,6 +42,13 @@ def evaluate(file: Path, errors: np.ndarray, qvel: np.ndarray, fills: bool) -> n
     """Return a network file's torque in each step; `fills` if the first step fills the history, which else is zero."""
     extra = {"frictionzoo.json": ""}
     network = torch.jit.load(file, _extra_files=extra)
+    if hasattr(network, "lstm"):
+        state = 2 * (torch.zeros(1, errors.shape[1], network.lstm.state_dict()["weight_hh_l0"].shape[1]),)
+        found = []
+        for row in np.stack([errors, qvel], -1):
+            torque, state = network(torch.tensor(row)[:, None], state)
+            found.append(torque.numpy()[:, 0])
+        return np.stack(found)
     count = len(json.loads(json.loads(extra["frictionzoo.json"])["input_idx"]))
     before = [np.repeat(part[:1], count - 1, axis=0) * fills for part in (errors, qvel)]
     rows = [np.concatenate(pair) for pair in zip(before, (errors, qvel), strict=True)]
@@ -64,7 +71,7 @@ def column(values: np.ndarray) -> torch.Tensor:
 
 
 def open_isaaclab(folder: Path) -> Iterator[tuple[str, str, Torque]]:
-    """Yield `ActuatorNetMLP` of each joint; a module that reads local files replaces Isaac Sim's file server."""
+    """Yield each joint's `ActuatorNetMLP` or `ActuatorNetLSTM`; a module reads local files for Isaac Sim's server."""
     installed = distribution("isaaclab")
     inner = Path(str(installed.locate_file("isaaclab/source/isaaclab")))
     sys.path.insert(0, str(inner if (inner / "isaaclab" / "actuators").exists() else installed.locate_file("")))
@@ -72,10 +79,11 @@ def open_isaaclab(folder: Path) -> Iterator[tuple[str, str, Torque]]:
     assets.read_file = lambda path: io.BytesIO(Path(path).read_bytes())
     sys.modules[assets.__name__] = assets
     for joint, config in load_actuators(folder / "isaaclab_actuator_net.py").items():
-        from isaaclab.actuators.actuator_net import ActuatorNetMLP  # pyright: ignore[reportMissingImports]
+        from isaaclab.actuators import actuator_net  # pyright: ignore[reportMissingImports]
         from isaaclab.utils.types import ArticulationActions  # pyright: ignore[reportMissingImports]
 
-        actuator = ActuatorNetMLP(config.copy(), [joint], torch.tensor([0]), ENVIRONMENTS, "cpu")
+        kind = getattr(actuator_net, type(config).__name__.removesuffix("Cfg"))
+        actuator = kind(config.copy(), [joint], torch.tensor([0]), ENVIRONMENTS, "cpu")
         none = torch.zeros(ENVIRONMENTS, 1)
 
         def torque(targets: Any, qpos: Any, qvel: Any, actuator: Any = actuator, none: Any = none) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Target `actuator_net`: the actuator network that Isaac Lab, mjlab and Newton load."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,14 +15,15 @@ from frictionzoo import __version__
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.state import Signals
 from frictionzoo.export.base import Export, Target, match_joint, measure, register_target
-from frictionzoo.export.drive_network import DriveNetwork, History
+from frictionzoo.export.drive_network import DriveNetwork, History, Recurrence, RecurrentDriveNetwork
 from frictionzoo.export.module import render
 from frictionzoo.export.motor import INPUTS, Motor, aim, list_lacks, motors, read_inputs, say_common
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.onnx import run_onnx, to_proto
 from frictionzoo.export.simulate import commands_before, simulate
 from frictionzoo.export.torchscript import load_script, to_script
-from frictionzoo.models.actuator_network import ActuatorNetwork
+from frictionzoo.models.actuator_lstm import ActuatorLSTM
+from frictionzoo.models.actuator_network import ActuatorModel
 from frictionzoo.result.fitted_drive import FittedDrive
 
 CONFIGS = {
@@ -31,6 +32,8 @@ CONFIGS = {
     "newton_actuator_net.py": ("Newton 1.8", "", ""),
 }
 """Python files: program, module and class of the configuration."""
+RECURRENT = "ActuatorNetLSTMCfg"
+"""Isaac Lab's class of a recurrent network."""
 SCALE, ORDER = 1.0, "pos_vel"
 UNREACHED = 1e6
 """Limits of the programs' own torque-speed line, out of reach; the drive's limits are in the network file."""
@@ -38,6 +41,9 @@ HELD = ("delay", "torque_offset")
 """Parameters of the bench in the network file."""
 MOST_ROWS = 10_000
 """Largest number of steps in which the two network files are compared."""
+ONE_PROGRAM = (
+    "Only Isaac Lab's files are written: mjlab loads no recurrent network, and Newton's DriveNeuralLSTM another format."
+)
 LIMITS = (
     "None of the programs was run: the difference comes from the TorchScript file, evaluated in 32 bits in each step, "
     "with the file's armature, frictionloss and damping in MuJoCo C.",
@@ -51,13 +57,15 @@ class NetworkFile:
     """Network of some joints, and the first part of its files' names."""
 
     name: str
-    network: DriveNetwork
+    network: DriveNetwork | RecurrentDriveNetwork
     joints: tuple[int, ...]
 
 
 @register_target("actuator_net")
 class ActuatorNet(Target):
     """Actuator network for Isaac Lab's `ActuatorNetMLP`, mjlab's `LearnedMlpActuator` and Newton's `DriveNeuralMLP`.
+
+    A recurrent network, `actuator_lstm`, is for Isaac Lab's `ActuatorNetLSTM` alone.
 
     Source: source code of Isaac Lab 2.3 and 3.0, mjlab 1.6 and Newton 1.8.
     """
@@ -70,23 +78,25 @@ class ActuatorNet(Target):
         nearest, inputs = take_friction(fitted), read_inputs(fitted, options)
         drives = motors(fitted, inputs)
         files = group_joints(fitted, drives)
+        recurrent = any(isinstance(file.network, RecurrentDriveNetwork) for file in files)
+        endings, configs = (("pt",), tuple(CONFIGS)[:1]) if recurrent else (("pt", "onnx"), tuple(CONFIGS))
         for file in files:
-            write_network(fitted, folder, file)
-        for name in CONFIGS:
+            write_network(fitted, folder, file, endings)
+        for name in configs:
             write_config(fitted, folder, name, nearest, files)
-        loaded = [load_script(folder / f"{file.name}.pt") for file in files]
+        loaded = [load(folder, file) for file in files]
         qpos, rows = roll(fitted, nearest, drives, files, loaded)
         reason = ", ".join(list_lacks(fitted, nearest, HELD)) or "a different history before the rollout"
         differences = [measure("qpos", fitted, qpos, fitted.rollout()[0], reason=reason)]
-        for file, run, states in zip(files, loaded, rows, strict=True):
+        for file, run, states in () if recurrent else zip(files, loaded, rows, strict=True):
             (came,) = run_onnx(folder / f"{file.name}.onnx", {"x": states})
             over = f"{len(states)} states of {file.name}.onnx in ONNX Runtime"
             torque = run(states).double().numpy()
             differences.append(measure("torque", fitted, came.astype(np.float64), torque, over))
         step = f"The network is valid for simulation steps of {fitted.timestep:g} s, as in its training."
-        limits = (*LIMITS, step, *say_common(fitted, nearest, inputs, HELD))
-        names = [f"{file.name}.{ending}" for file in files for ending in ("pt", "onnx")]
-        return Export((*names, *CONFIGS), tuple(differences), limits)
+        limits = (*LIMITS, step, *([ONE_PROGRAM] if recurrent else []), *say_common(fitted, nearest, inputs, HELD))
+        names = [f"{file.name}.{ending}" for file in files for ending in endings]
+        return Export((*names, *configs), tuple(differences), limits)
 
 
 def take_friction(fitted: FittedDrive) -> Nearest:
@@ -99,10 +109,10 @@ def take_friction(fitted: FittedDrive) -> Nearest:
     friction = []
     for joint in range(fitted.bench.nv):
         law, index, prefix = model.of_joint(joint)
-        if not isinstance(law, ActuatorNetwork):
+        if not isinstance(law, ActuatorModel):
             raise ExportError(
-                f"target=actuator_net: {law.name} is no actuator network; identify with model=actuator_network, or "
-                "distil this run with frictionzoo distill RUN model=actuator_network"
+                f"target=actuator_net: {law.name} is no actuator network; identify with model=actuator_network or "
+                "actuator_lstm, or distil this run with frictionzoo distill RUN model=actuator_network"
             )
         friction.append([values[f"{prefix}{name}"][index] for name in ("frictionloss", "damping")])
     if fitted.origin is not None and not np.isclose(fitted.origin.timestep, fitted.timestep, rtol=1e-6):
@@ -122,14 +132,23 @@ def group_joints(fitted: FittedDrive, drives: Sequence[Motor]) -> list[NetworkFi
     files = []
     for number, ((motor, _, delay, offset), joints) in enumerate(groups.items()):
         law = fitted.model.of_joint(joints[0])[0]
-        assert isinstance(law, ActuatorNetwork)
+        assert isinstance(law, ActuatorModel)
         name = "actuator_net" if len(groups) == 1 else f"actuator_net_{number}"
-        files.append(NetworkFile(name, DriveNetwork(motor, law, fitted.timestep, delay, offset), tuple(joints)))
+        network = DriveNetwork(motor, law, fitted.timestep, delay, offset)
+        if isinstance(law, ActuatorLSTM):
+            network = RecurrentDriveNetwork(network, law)
+        files.append(NetworkFile(name, network, tuple(joints)))
     return files
 
 
-def write_network(fitted: FittedDrive, folder: Path, file: NetworkFile) -> None:
-    """Write a network as TorchScript and as ONNX, with the metadata that Newton reads."""
+def load(folder: Path, file: NetworkFile) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Load the TorchScript of a network, as a function of `file.network.steps` errors and velocities."""
+    run = load_script(folder / f"{file.name}.pt")
+    return Recurrence(run, file.network) if isinstance(file.network, RecurrentDriveNetwork) else run
+
+
+def write_network(fitted: FittedDrive, folder: Path, file: NetworkFile, endings: Collection[str]) -> None:
+    """Write a network as TorchScript and, if `endings` contains it, as ONNX, with the metadata that Newton reads."""
     facts = {
         "producer": f"frictionzoo {__version__}",
         "joints": json.dumps([fitted.bench.joints[joint] for joint in file.joints]),
@@ -138,9 +157,11 @@ def write_network(fitted: FittedDrive, folder: Path, file: NetworkFile) -> None:
         "input_order": ORDER,
         "input_idx": json.dumps(list(range(file.network.steps))),
     }
-    example = {"x": torch.zeros(2, 2 * file.network.steps)}
+    example = file.network.example
     (folder / f"{file.name}.pt").write_bytes(to_script(file.network, example, facts))
-    (folder / f"{file.name}.onnx").write_bytes(to_proto(file.network, example, ("torque",), facts).SerializeToString())
+    if "onnx" in endings:
+        proto = to_proto(file.network, example, ("torque",), facts)
+        (folder / f"{file.name}.onnx").write_bytes(proto.SerializeToString())
 
 
 def write_config(fitted: FittedDrive, folder: Path, name: str, nearest: Nearest, files: Sequence[NetworkFile]) -> None:
@@ -153,10 +174,13 @@ def write_config(fitted: FittedDrive, folder: Path, name: str, nearest: Nearest,
         named = zip(("armature", "frictionloss", "damping"), (float(number[joint]) for number in numbers), strict=True)
         label = fitted.bench.joints[joint]
         steps = list(range(file.network.steps))
-        joints.append({"name": label, "pattern": match_joint(label), "file": file.name, "steps": steps, **dict(named)})
+        joint_cls = RECURRENT if isinstance(file.network, RecurrentDriveNetwork) else cls
+        about = {"name": label, "pattern": match_joint(label), "cls": joint_cls, "file": file.name, "steps": steps}
+        joints.append({**about, **dict(named)})
     text = render(
         "actuator_net.py.jinja",
-        **{"program": program, "module": module, "cls": cls, "joints": joints, "units": fitted.units},
+        **{"program": program, "module": module, "joints": joints, "units": fitted.units},
+        **{"cls": ", ".join(sorted({joint["cls"] for joint in joints})), "recurrent": RECURRENT},
         **{"timestep": f"{fitted.timestep:g}", "scale": SCALE, "order": ORDER, "unreached": UNREACHED},
     )
     (folder / name).write_text(text, encoding="utf-8")
@@ -180,6 +204,9 @@ def roll(
 
     def begin(data: mujoco.MjData, rollout: int) -> None:
         nonlocal history
+        for run in loaded:
+            if isinstance(run, Recurrence):
+                run.state = None
         before = aims_of(commands_before(fitted, rollout))[::-1]
         before = np.concatenate([before, np.repeat(before[-1:], max(0, steps - len(before)), axis=0)])[:steps]
         passed = fitted.timestep * np.arange(1, steps + 1)[:, None]

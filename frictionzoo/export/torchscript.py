@@ -5,7 +5,7 @@ import json
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -40,11 +40,13 @@ class TorchScript(GraphFile):
         return tuple(map(np.asarray, load_script(path)(**inputs)))
 
 
-def to_script(module: torch.nn.Module, inputs: Mapping[str, torch.Tensor], facts: Mapping[str, str]) -> bytes:
+def to_script(module: torch.nn.Module, inputs: Mapping[str, Any], facts: Mapping[str, str]) -> bytes:
     """Return a module as TorchScript, traced with these inputs, with `facts` in the archive."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
+        # Of the checks of an LSTM's shapes, which do not depend on the batch.
+        warnings.filterwarnings("ignore", category=torch.jit.TracerWarning, module=r"torch\.nn\.modules\.rnn")
         traced = torch.jit.trace(module, tuple(inputs.values()))
         torch.jit.save(traced, buffer, _extra_files={FACTS: json.dumps(dict(facts), indent=2)})
     return _without_traces(buffer.getvalue())
