@@ -257,12 +257,14 @@ def test_long_tails_call_for_a_robust_loss(recorded: Dataset) -> None:
     assert chosen["loss.robust"]["value"] == "soft_l1" and "validation error" in chosen["loss.robust"]["reason"]
 
 
-def test_a_network_has_no_pilot(recorded: Dataset) -> None:
+def test_a_network_has_no_pilot(recorded: Dataset, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", logger="frictionzoo")
     config = compose_config("data=twin", "recipe=auto", "model=neural_friction", "fit=adam")
     settings: Any = OmegaConf.to_container(config, resolve=True)
     law = fz.law("neural_friction", hidden=[4, 4])
     settled = Parts.settle(settings, knee(), recorded, law, build(settings["fit"]))
     chosen = {choice.option: choice.value for choice in settled.choices}
+    assert "the report gives the reasons" in caplog.text and "hydra" not in caplog.text  # as called from Python
     assert settled.start is None and chosen["loss.refine"] is False and chosen["dtype"] == "float32"
     assert chosen["bench.params.delay.identify"] is False
     assert "auto" not in [

@@ -158,14 +158,15 @@ class Parts:
     def _stages(self) -> Stages:
         return Stages(self.settings, self.bench, self.dataset, self.model, self.fit)
 
-    def _choose(self) -> "Parts":
+    def _choose(self, advice: str = "") -> "Parts":
         stages = self._stages
         stages.run()
         names = [name for name in OPTIONAL if get(stages.settings, f"{option_of(name)}.identify") is True]
         _log.info(
-            "automatic settings: %d options%s; the report gives the reasons, hydra.verbose=frictionzoo prints them",
+            "automatic settings: %d options%s; the report gives the reasons%s",
             len(stages.choices),
             f", {' and '.join(names)} identified" if names else "",
+            advice,
         )
         return replace(
             self,
@@ -189,7 +190,7 @@ class Parts:
                 return stored
             pilot = self._stages.repeat(stored.settings, stored.start)
             return replace(stored, pilot=pilot)  # the fit uses its compiled equations
-        chosen = self._choose()
+        chosen = self._choose(", hydra.verbose=frictionzoo prints them")  # of the command line
         before, start = dict(list_options(self.settings)), chosen.start
         text = {
             "identity": identity,
