@@ -71,11 +71,11 @@ def test_a_mistake_is_told_at_a_terminal_before_slow_imports(tmp_path: Path, rec
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     out = subprocess.check_output([sys.executable, "-c", TELL, *MISTAKES], cwd=tmp_path, env=environment, stderr=end)
     assert out.decode().split() == ["2"] * len(MISTAKES)
-    told = read_terminal(terminal, end).split("frictionzoo run: reading the options ...\n")[1:]
+    told = read_terminal(terminal, end).split("frictionzoo run: reading the options ...")[1:]
     for lines, line in zip(told, MISTAKES.values(), strict=True):
-        *doing, refused = lines.splitlines()
+        *doing, refused = lines.split("\n")[1:-1]
         assert refused.startswith(f"frictionzoo: {line}")
-        assert all(each.startswith("reading bench and recordings ") and each.endswith(" ...") for each in doing)
+        assert all(each.startswith("reading bench and recordings ") for each in doing)
 
 
 def read_terminal(terminal: int, end: int) -> str:

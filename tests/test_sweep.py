@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo import __version__
 from frictionzoo.bench.given import Given
 from frictionzoo.cli.job import run_job as run_real_job
-from frictionzoo.cli.sweep import _complaint, conclude_sweep, run_in_sweep
+from frictionzoo.cli.sweep import SweepFolder, _complaint, conclude_sweep, run_in_sweep
 from frictionzoo.core.config import CONF_DIR, prepare_hydra
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.jobs import read_record
@@ -74,7 +74,7 @@ def test_a_failing_job_does_not_end_the_others(call, tiny, tmp_path, finished_ru
     # Most of a comparison's time.
     monkeypatch.setattr("frictionzoo.report.comparison_plots.write_figures", lambda *_: None)
     finished = call(*SWEEP, *tiny, "fit=lm", "fit.iterations=3", "model=baseline,neural_friction,coulomb_smooth")
-    assert finished.status == 2
+    assert finished.status == 2 and SweepFolder.count == len(jobs)
     assert [(tmp_path / "sweep" / job / "result.json").exists() for job in jobs] == [True, False, True]
     failure = json.loads((tmp_path / "sweep" / jobs[1] / "failure.json").read_text())
     assert failure["model"] == "neural_friction"

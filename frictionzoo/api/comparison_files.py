@@ -5,6 +5,7 @@ from pathlib import Path
 
 from frictionzoo.core.errors import ConfigError, RunError, closest
 from frictionzoo.core.output import claim, write_atomically, write_json
+from frictionzoo.core.telling import tell
 from frictionzoo.result.comparison.record import compare_runs
 from frictionzoo.result.comparison.runs import Run, read_runs
 from frictionzoo.result.comparison.types import Comparison
@@ -52,6 +53,7 @@ def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path, f
 
     if font not in FONTS:
         raise ConfigError(f"font={font}: {closest(font, FONTS)}")
+    tell("drawing the figures of the comparison")
     with claim(output, "comparison", FILES):
         write_figures(output / "figures", comparison, runs, font)
         write_atomically(output / "table.tex", tabulate_latex(comparison).encode())

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from frictionzoo import __version__
 from frictionzoo.cli.mistakes import fail, hand_over_output, outlive_readers
 from frictionzoo.core.errors import closest
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import tell, telling_again
 
 COMMANDS = {
     "run": "identify a drive (the default command)",
@@ -116,7 +116,8 @@ def main(*command: str) -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     outlive_readers()
     try:
-        dispatch([*command, *sys.argv[1:]])
+        with telling_again():
+            dispatch([*command, *sys.argv[1:]])
     finally:
         hand_over_output()
         gc.freeze()  # at exit Python would look for garbage among millions of objects, which takes about 2 s

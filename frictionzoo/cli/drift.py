@@ -12,7 +12,7 @@ from frictionzoo.core import config as conf
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError, read_number
 from frictionzoo.core.output import RUN_FILES, claim, refuse_existing
-from frictionzoo.core.telling import say, tell, telling_again
+from frictionzoo.core.telling import say, tell
 from frictionzoo.data.files import Files
 from frictionzoo.report.terminal import summarise_drift
 
@@ -22,7 +22,6 @@ _NUMBERS = {"alarm": ALARM, "smallest": SMALLEST}
 _OF_RUN = ("train", "test", "folder", "source", "where", "exclude")
 
 
-@telling_again()
 def report_drift(runs: Sequence[Path], recordings: Sequence[str], options: Mapping[str, str]) -> int:
     """Compare a drive with its runs, print and save the comparison, and return the exit status.
 

@@ -89,6 +89,7 @@ def compare(arguments: Sequence[str]) -> None:
         from frictionzoo.api.comparison_files import write_comparison
         from frictionzoo.report.terminal import summarise_comparison
 
+        tell("comparing the runs")
         say(summarise_comparison(write_comparison(parsed.folders, output, parsed.font), output))
 
 
@@ -129,6 +130,7 @@ def drift(arguments: Sequence[str]) -> None:
             refuse_unfinished(run)
         if count == len(paths):
             raise ConfigError("no recording, expected RUN and a new recording; name one, as in drift RUN b.csv")
+        tell("loading torch and JAX, reading the runs")
         from frictionzoo.cli.drift import report_drift
 
         status = report_drift(paths[:count], list(map(str, paths[count:])), options)
@@ -160,7 +162,7 @@ def _checked(name: str, arguments: Sequence[str], example: str) -> Iterator[tupl
 
         for run in runs:
             refuse_unfinished(Path(run))
-        tell("loading torch and JAX")
+        tell("loading torch and JAX, reading the run")
         yield Path(runs[0]) if runs else None, options
 
 

@@ -19,7 +19,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra, resolve
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.output import claim
-from frictionzoo.core.telling import say
+from frictionzoo.core.telling import say, tell
 from frictionzoo.data.source import Source
 
 FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
@@ -32,6 +32,7 @@ def _inspect(config: DictConfig) -> None:
         hydra_config = HydraConfig.get()
         if hydra_config.mode == RunMode.MULTIRUN:
             raise ConfigError("--multirun: one data set at a time; leave it out")
+        tell("reading bench and recordings")
         check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
         choices = hydra_config.runtime.choices
         has_bench = choices["data"] != "files" or any(text.startswith("bench") for text in hydra_config.overrides.task)
@@ -56,6 +57,7 @@ def inspect_data(config: DictConfig, folder: Path, bench: Any = None, options: S
     source, joints, joint_type = build(data, Source), (), None
     if bench is not None:
         source, joints, joint_type = source.for_joints(bench.joints, bench.passive), bench.joints, bench.joint_type
+    tell("checking the recordings")
     with claim(folder, "inspection", FILES):  # an unusable output folder raises before the work
         inspected = Inspected.of(str(data.get("name", "data")), list_recordings(source), joints, joint_type)
         survey = inspected.survey

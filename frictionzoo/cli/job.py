@@ -13,7 +13,7 @@ from frictionzoo.bench.given import Given
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options, resolve
 from frictionzoo.core.output import RUN_FILES
-from frictionzoo.core.telling import tell, telling_again
+from frictionzoo.core.telling import tell
 from frictionzoo.data.cache import digest
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import FitFiles
@@ -24,7 +24,6 @@ from frictionzoo.result.record import describe_data, pick_metrics
 from frictionzoo.result.types import Result
 
 
-@telling_again()
 def run_job(
     config: DictConfig,
     name: str,
@@ -47,7 +46,7 @@ def run_job(
     settings = resolve(config)
     logger = build(settings["logger"], RunLogger)
     parts = Parts.from_settings(settings, given, folder)
-    tell("checking the input, compiling")
+    tell("compiling, verifying the simulation in MuJoCo C")
     with parts.computing() as device:
         problem = Problem.pose(parts)
         if teacher:

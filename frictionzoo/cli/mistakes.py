@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn
 
 from frictionzoo.core.errors import OutputError
-from frictionzoo.core.telling import escape_controls
+from frictionzoo.core.telling import end_line, escape_controls, tell
 
 REFUSED = 2
 """Exit status for a mistake that the user has to correct."""
@@ -99,6 +99,7 @@ class _Lasting(io.FileIO):
     fault = ""
 
     def write(self, data: Any) -> int | None:
+        end_line()
         try:
             return super().write(data)
         except OSError as error:
@@ -146,6 +147,7 @@ def hand_over_output() -> None:
 
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:
     """End the program with these lines on standard error and this exit status."""
+    tell("")
     for line in lines:
         print(f"frictionzoo: {escape_controls(line)}", file=sys.stderr)
     sys.exit(status)

@@ -1,6 +1,7 @@
 """Command line: `python -m frictionzoo.run model=coulomb_stribeck` identifies a drive."""
 
 import contextlib
+import logging
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -31,7 +32,7 @@ from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objecti
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, prepare_hydra, resolve
 from frictionzoo.core.output import LOGGERS, RUN_FILES, occupy
-from frictionzoo.core.telling import say, tell
+from frictionzoo.core.telling import name_job, say, tell
 from frictionzoo.core.threads import limit_threads, threads_each
 from frictionzoo.data.source import Source
 from frictionzoo.result.types import Result
@@ -51,7 +52,8 @@ def _job(config: DictConfig) -> float:
         return _identify(config, folder)
 
     if hydra_config.mode == RunMode.MULTIRUN:
-        options = hydra_config.overrides.task
+        options, number = hydra_config.overrides.task, int(hydra_config.job.num) + 1
+        _show_job(number, model)
         finished = resolve(config) if resumed else None
         # Processes of a launcher have no other handler.
         outlive_readers()
@@ -72,6 +74,14 @@ def _job(config: DictConfig) -> float:
     if result.not_identified:
         sys.exit(NOT_IDENTIFIED)
     return objective_of(result)
+
+
+def _show_job(number: int, model: str) -> None:
+    """Show the progress of a sweep's job; in a launcher's process show none, because the sweep shows its own."""
+    name_job(f"job {number} of {SweepFolder.count}, {model}" if SweepFolder.count else None)
+    logger = logging.getLogger("frictionzoo")
+    if not SweepFolder.count and logger.level == logging.INFO and sys.stderr.isatty():
+        logger.setLevel(logging.WARNING)
 
 
 def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[Result, str | None]:
@@ -99,7 +109,8 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
 
     with _quiet_writers():
         result, complaint = run_job(config, model, folder, options=options, given=given)
-    say(summarise(result, folder))
+    if hydra_config.mode == RunMode.RUN or SweepFolder.count:
+        say(summarise(result, folder))
     return result, complaint
 
 
@@ -145,6 +156,8 @@ def _run_jobs(begun: Sequence[Path]) -> str | None:
 
 def _conclude(sweep: Path, complaint: str | None) -> None:
     """Compare the jobs of a sweep, print its failures, and exit with its status."""
+    name_job("")
+    tell("comparing the jobs")
     comparison, text, complaints = conclude_sweep(sweep)
     say(text)
     if complaint:

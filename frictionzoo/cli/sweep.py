@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from filelock import FileLock
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
@@ -21,6 +23,7 @@ from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.jobs import find_runs, read_failure, read_json, read_record
 from frictionzoo.core.manifest import FileState, Manifest, saying
 from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock, occupy, to_json, write_json
+from frictionzoo.core.telling import tell
 from frictionzoo.result.comparison.types import Comparison
 from frictionzoo.result.types import Result
 
@@ -31,7 +34,13 @@ _SWEEP_RECORD = "multirun.yaml"  # Hydra's
 
 
 class SweepFolder(Callback):
-    """Hydra callback that reports the sweep's folder to the program."""
+    """Hydra callback that reports the sweep's folder to the program.
+
+    Attributes:
+        count: Number of jobs of the sweep that this process began; 0 in the processes of a launcher.
+    """
+
+    count: int = 0
 
     @staticmethod
     @contextlib.contextmanager
@@ -52,9 +61,25 @@ class SweepFolder(Callback):
             with saying(folder):
                 manifest.record({_SWEEP_RECORD: FileState.of(OmegaConf.to_yaml(config).encode())})
         _begun.get([]).append(folder)
+        SweepFolder.count = _count_jobs(config)
+        tell(f"sweep of {SweepFolder.count} jobs", lambda: _describe_jobs(folder))
         # Ray reads this on import; without it, a node listens on all interfaces, whatever its address.
         if OmegaConf.select(config, "hydra.launcher.ray.init.address") == "local":
             os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+
+
+def _count_jobs(config: DictConfig) -> int:
+    """Return the number of jobs in a grid, or that a search proposes."""
+    parser = OverridesParser.create(GlobalHydra.instance().config_loader())
+    overrides = parser.parse_overrides([*config.hydra.overrides.task])
+    grid = (len([*each.sweep_string_iterator()]) for each in overrides if each.is_discrete_sweep())
+    return OmegaConf.select(config, "hydra.sweeper.n_trials") or math.prod(grid)
+
+
+def _describe_jobs(folder: Path) -> str:
+    """Return how many jobs of a sweep have ended, and the folders of those that run."""
+    ended = sum(1 for name in (RESULT, FAILURE) for _ in folder.glob(f"*/{name}"))
+    return ", ".join([f"{ended} done", *sorted(f"{path.parent.name} runs" for path in folder.glob(f"*/{RUNNING}"))])
 
 
 def run_in_sweep(

@@ -3,16 +3,19 @@
 import argparse
 import contextlib
 import logging
+import os
 import re
+import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from frictionzoo.core.records import map_texts
 
 Rows = Sequence[Sequence[str]]
+Progress = str | Callable[[], Any]
 _COLUMNS = {"qpos": "position", "qvel": "velocity", "ctrl": "command", "torque": "torque"}
 # Control characters, text direction marks, line separators, halves of surrogate pairs.
 _CONTROL = re.compile(
@@ -34,39 +37,96 @@ def escape_all(value: Any) -> Any:
 
 
 def say(text: str) -> None:
-    """Print lines on standard output."""
+    """Print lines on standard output; the current activity has ended."""
+    tell("")
     print(escape_controls(text, keep="\n"))
 
 
-_told = "", 0.0
-"""Last progress message and its time, by `time.monotonic`."""
+class _Activity:
+    """Current activity, and the line of the terminal that shows it.
+
+    Attributes:
+        since: When it began, by `time.monotonic`.
+        job: Job of a sweep to which it belongs; None hides all activities.
+        is_ticking: Whether the line stays unfinished, because `telling_again` renews it.
+        length: Length of the unfinished line.
+    """
+
+    doing: str = ""
+    progress: Progress = ""
+    since: float = 0.0
+    job: str | None = ""
+    is_ticking: bool = False
+    length: int = 0
+
+    def show(self) -> None:
+        """Print it with its progress and duration, in the same line as before."""
+        progress = self.progress() if callable(self.progress) else self.progress
+        if not (self.doing and is_watched()):
+            return
+        seconds = time.monotonic() - self.since
+        end = f", {seconds:.0f} s" if seconds >= 1 else " ..."
+        text = escape_controls(": ".join(filter(None, (self.job, self.doing, progress))))
+        if not self.is_ticking:
+            print(text + end, file=sys.stderr, flush=True)
+            return
+        text = text[: shutil.get_terminal_size().columns - 1 - len(end)] + end
+        renewed = f"\r{text.ljust(self.length)}" if self.length else text
+        self.length = 0  # so that this output does not finish the line
+        print(renewed, end="", file=sys.stderr, flush=True)
+        self.length = len(text)
 
 
-def tell(doing: str) -> None:
-    """Print the current activity on standard error at once, if that is a terminal."""
-    global _told
-    _told = doing, time.monotonic()
-    if doing and sys.stderr.isatty():
-        print(f"{escape_controls(doing)} ...", file=sys.stderr, flush=True)
+_now = _Activity()
+
+
+def is_watched() -> bool:
+    """Return whether standard error is a terminal that may show progress."""
+    return _now.job is not None and sys.stderr.isatty()
+
+
+def tell(doing: str, progress: Progress = "") -> None:
+    """Show the current activity on standard error at once, if that is a terminal; an empty text ends it.
+
+    `progress` is a text, or a function that returns one and is called once a second.
+    """
+    end_line()
+    _now.doing, _now.progress, _now.since = doing, progress, time.monotonic()
+    _now.show()
+
+
+def tell_progress(progress: Progress) -> None:
+    """Set the progress of the current activity, which the terminal shows within a second."""
+    _now.progress = progress
+
+
+def name_job(job: str | None) -> None:
+    """Show activities as parts of this job of a sweep; None: show none in this process."""
+    _now.job = job
+
+
+def end_line() -> None:
+    """Finish the line that shows the current activity; other output begins in a new one."""
+    if _now.length:
+        _now.length = 0
+        with contextlib.suppress(OSError):  # the terminal was closed
+            os.write(sys.stderr.fileno(), b"\n")
 
 
 @contextlib.contextmanager
-def telling_again(every: float = 10.0) -> Iterator[None]:
-    """Repeat the current activity and its duration whenever nothing was printed for `every` seconds."""
+def telling_again(every: float = 1.0) -> Iterator[None]:
+    """Show progress and duration of the current activity every `every` seconds, if standard error is a terminal."""
+    if not is_watched():
+        yield
+        return
     ended = threading.Event()
 
     def watch() -> None:
-        activity, due = _told, every
-        while not ended.wait(every / 10):
-            if _told != activity:
-                activity, due = _told, every
-            doing, since = activity
-            passed = time.monotonic() - since
-            if doing and passed >= due and sys.stderr.isatty():
-                print(f"{escape_controls(doing)}, {passed:.0f} s so far ...", file=sys.stderr, flush=True)
-                due += every
+        while not ended.wait(every):
+            _now.show()
 
     watching = threading.Thread(target=watch, name="telling again", daemon=True)
+    _now.is_ticking = True
     watching.start()
     try:
         yield
@@ -74,6 +134,7 @@ def telling_again(every: float = 10.0) -> Iterator[None]:
         ended.set()
         watching.join()
         tell("")
+        _now.is_ticking = False
 
 
 class LogFormatter(logging.Formatter):

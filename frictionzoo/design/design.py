@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench.limits import KINDS, Limits
 from frictionzoo.core.errors import ConfigError, closest, refuse_outside
+from frictionzoo.core.telling import tell, tell_progress
 from frictionzoo.design.information import Information
 from frictionzoo.design.series import Series
 from frictionzoo.design.task import Task
@@ -78,6 +79,7 @@ def design(
         ConfigError: The search diverges from all starting points.
     """
     evaluate = task.drive.rollout.compile(_assess(task, series, limits, search.criterion, reference))
+    tell("design: compiling, starting amplitudes")
     begin = _draw(series, len(limits.home), search)
     for _ in range(3):  # the torque is not proportional to the amplitude
         _, (_, used) = evaluate(begin, np.ones(len(begin)))[0]
@@ -88,7 +90,9 @@ def design(
     vectors = jnp.asarray(begin / size[:, None, None])
     state = optimiser.init(vectors)
     first, best, optima = None, jnp.full(len(vectors), jnp.inf), vectors
-    for _ in range(search.iterations):
+    tell("design: search")
+    for iteration in range(search.iterations):
+        tell_progress(f"iteration {iteration} of {search.iterations}")
         (_, (values, _)), gradient = evaluate(vectors, size)
         better = values < best  # False for NaN
         best, optima = jnp.where(better, values, best), jnp.where(better[:, None, None], vectors, optima)

@@ -13,6 +13,7 @@ from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.bench.limits import KINDS, Limits, Motion, refuse_unholdable
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.telling import tell
 from frictionzoo.core.units import UNITS
 from frictionzoo.design.design import design, scale_within
 from frictionzoo.design.information import relative
@@ -69,6 +70,7 @@ def excite(options: Mapping[str, str], run: FittedDrive | None = None) -> Design
                 "record for longer or lower segments.length"
             )
         optimum = design(task, series.shortened, reduced, request.search, _known_before(task.space, run))
+        tell("design: scaling to the limits, verification in MuJoCo C")
         coefficients, information = scale_within(task, series, reduced, optimum.coefficients)
         ctrl, speed = series.command(np, coefficients, limits.home)
         motion, motion_in_steps = task.see_in_c(ctrl, speed, limits.home)

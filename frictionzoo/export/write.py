@@ -15,7 +15,7 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
 from frictionzoo.core.output import take_place, to_json, write_atomically, write_json
-from frictionzoo.core.telling import align, escape_all
+from frictionzoo.core.telling import align, escape_all, tell
 from frictionzoo.export.base import Export, Written, get_target, read_optional, target_names
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.names import name_some
@@ -144,6 +144,7 @@ def _write(moved: FittedDrive, name: str, place: Path, options: Mapping[str, str
     if "mujoco" in target.packages:
         moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
     target_options = {option: value for option, value in options.items() if option in target.options}
+    tell(f"export to {name}: writing and checking")
     with take_place(place, "export", [NOTE]) as fresh:
         export = target.write(moved, fresh, target_options)
         export = replace(export, limits=(*export.limits, *_say_simulator(moved)))

@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from frictionzoo.core.errors import CheckpointError, ConfigError, OutputError, refuse_outside
 from frictionzoo.core.output import claim, write_atomically
+from frictionzoo.core.telling import is_watched, tell
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.module import FitModule, Outcome
@@ -109,8 +110,10 @@ class _ProgressBar(pl.Callback):
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         assert isinstance(pl_module, FitModule)
-        # disable=None: tqdm shows nothing where the output is not a terminal.
-        self._bar = tqdm(total=pl_module.total, initial=pl_module.iteration, unit="it", disable=None)
+        tell("")
+        done, total = pl_module.iteration, pl_module.total
+        self._bar = tqdm(desc="fit", total=total, initial=done, unit="it", disable=not is_watched())
+        tell("", self._bar.refresh)
 
     def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         assert isinstance(pl_module, FitModule) and self._bar is not None
@@ -132,6 +135,7 @@ class _ProgressBar(pl.Callback):
 
     def _close(self) -> None:
         if self._bar is not None:
+            tell("")
             self._bar.close()
 
 

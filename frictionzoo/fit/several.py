@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from frictionzoo.core.errors import refuse_outside
+from frictionzoo.core.telling import tell_progress
 from frictionzoo.fit.base import Evaluation, Fit, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.contained import Part
@@ -123,6 +124,7 @@ class Searches:
         self._tries, self._tolerance = tries, tolerance
         self._least, self.begun = np.inf, objective.begun
         self._found: dict[str, End] = {}
+        self._evaluations = 0
         self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
         # A model with several minima is fitted from several starting points: a slow search has rivals.
         recordings = objective.recordings
@@ -154,6 +156,8 @@ class Searches:
 
     def _evaluate(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
         """Evaluate the objective; the search for initial states begins at those of the last vector that was as good."""
+        self._evaluations += 1
+        tell_progress(f"evaluation {self._evaluations}")
         equations = self._objective.compile_normal_equations()(vector)
         if is_near(equations.loss, self._least):
             self._objective = self._objective.beginning(equations.begun)

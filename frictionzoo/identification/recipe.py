@@ -28,7 +28,7 @@ from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.output import SETTLED, to_json, write_atomically
 from frictionzoo.core.params import AUTO
-from frictionzoo.core.telling import align, list_columns
+from frictionzoo.core.telling import align, list_columns, tell
 from frictionzoo.data.cache import digest
 from frictionzoo.data.pairing import describe_columns
 from frictionzoo.diagnostics.findings import Finding
@@ -141,6 +141,7 @@ class Parts:
                 _log.info("%s", line)
         observing = bench.observing(model.inputs)
         train, test = (tuple(map(observing.accept, logs)) for logs in (dataset.train, dataset.test))
+        tell("checking the recordings")
         doubts = check_up(Dataset(dataset.name, train, test), observing, settings["checkup"])
         settings, bench, widened = widen_bounds(settings, bench, train, model)
         settings = settle_gain(settings, bench)
@@ -161,6 +162,7 @@ class Parts:
     def _choose(self, advice: str = "") -> "Parts":
         stages = self._stages
         stages.run()
+        tell("")
         names = [name for name in OPTIONAL if get(stages.settings, f"{option_of(name)}.identify") is True]
         _log.info(
             "automatic settings: %d options%s; the report gives the reasons%s",

@@ -68,7 +68,8 @@ def solve(
         FrictionzooError: The fit cannot begin, or the record cannot be written.
     """
     began, refine = time.perf_counter(), finer(problem)
-    tell("")  # the fit shows its progress itself
+    show = tell if problem.settings["loop"].get("progress", True) else lambda _: tell("")
+    show("starting the fit, compiling")
     engine, segments, note = problem.drive.engine, problem.segments, problem.drive.engine.note
     _log.info("engine %s, matches MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note and f": {note}")
     if problem.objective.devices > 1:
@@ -76,14 +77,16 @@ def solve(
     _log.info("%s: training on %d segments of %d samples", problem.dataset.name, segments.count, segments.length)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
-    if problem.settings["loop"].get("progress", True):
-        tell("computing intervals, evaluating rollouts with and without friction")
+    show("computing intervals")
     intervals_began = time.perf_counter()
     uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit, refine)
 
     evaluation_began = time.perf_counter()
+    show(f"evaluation: {problem.evaluation.count} rollouts")
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
+    show(f"evaluation: {problem.evaluation.count} rollouts without friction")
     baseline, reference = judge_baseline(problem.measured or problem)
+    show("residual torque")
     residual_torque, torque, residual = _find_residual(problem, outcome)
 
     result = build_result(

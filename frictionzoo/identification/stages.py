@@ -35,6 +35,7 @@ class Stages(Trials):
 
     def run(self) -> None:
         """Run all stages."""
+        tell("automatic settings: weights and segments")
         self.prepare()
         if self._has_pilots:
             self._choose_loss()
@@ -141,8 +142,9 @@ class Stages(Trials):
         self._choose("loss.refine", True, refine_reason)
 
     def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
-        count = len(pilot.space.labels)
-        tell(f"automatic settings: fitting {count} parameters in steps of {1e3 * self._first_step:.3g} ms")
+        self._fits += 1
+        count, step = len(pilot.space.labels), 1e3 * self._first_step
+        tell(f"automatic settings: pilot fit {self._fits}, {count} parameters, steps of {step:.3g} ms")
         self._result, self._last_pilot = pilot.fit(self._result, self._left_out, thorough), pilot
 
     def _look(self, pilot: Pilot) -> Misfit:
@@ -280,7 +282,7 @@ class Stages(Trials):
             near = self._coarse_pilot.approaching(self._coarse_pilot.simulate(bench), self._result)
             step, loss = near.step(self._result)
             if loss > _HOPELESS * self._result.loss:  # the result is one of long steps: slopes there do not hold
-                tell(f"automatic settings: fitting again in steps of {1e3 * bench.timestep:.3g} ms")
+                tell(f"automatic settings: pilot fit again in steps of {1e3 * bench.timestep:.3g} ms")
                 fitted = near.fit(self._result, self._left_out)
                 step = fitted.among(self._result.labels, self._result.vector) - self._result.vector
             changes = self._result.in_halves(step)

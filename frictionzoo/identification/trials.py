@@ -15,6 +15,7 @@ from frictionzoo.core.errors import BenchError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Segments, longest_window
+from frictionzoo.core.telling import tell
 from frictionzoo.diagnostics.findings import Finding
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
@@ -68,6 +69,7 @@ class Trials:
         # Whether pilots represent the fit: Levenberg-Marquardt with few parameters.
         self._has_pilots = isinstance(fit, Auto | LevenbergMarquardt) and is_few
         self._pilots: dict[str, Pilot] = {}  # by their settings
+        self._fits = 0  # pilot fits so far, for the terminal
         self._result: PilotResult  # result of the last pilot
         self._last_pilot: Pilot | None = None  # the last pilot
         self._corrected_pilot: Pilot | None = None  # pilot with the chosen loss, corrected to the chosen timestep
@@ -178,6 +180,7 @@ class Trials:
         """Return the mean position error on a validation block of the training recordings; `given` as in `_pilot`."""
         key = repr((self.settings["bench"], self._how(_FIRST_STEPS, **given), sorted(self._left_out)))
         if key not in self._validated:  # an earlier stage may have asked
+            tell("automatic settings: fit without the validation block, and its errors there")
             pilot = self._pilot(**given)
             is_fitted, block = hold_back(pilot.segments, self._train)
             result = pilot.fit(self._result, self._left_out, kept=is_fitted)

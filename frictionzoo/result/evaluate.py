@@ -211,6 +211,15 @@ class Evaluator:
         return [segments for parts in self._by_horizon for segments in parts.values()]
 
     @property
+    def _windows(self) -> list[Segments]:
+        return [self.trajectories, self._places, self.local, *self._cut]
+
+    @property
+    def count(self) -> int:
+        """Number of rollouts."""
+        return sum(segments.count for segments in self._windows)
+
+    @property
     def sha256(self) -> str:
         """Hash of states, commands, inputs and payloads of all windows; equal for drives with the same rollouts."""
         digest = hashlib.sha256()
@@ -224,8 +233,7 @@ class Evaluator:
 
     def judge(self, rollout: Rollout, values: Values) -> Judgement:
         """Simulate every window with one drive and measure its errors."""
-        windows = [self.trajectories, self._places, self.local, *self._cut]
-        long, places, local, *others = _predict_all(rollout, values, windows)
+        long, places, local, *others = _predict_all(rollout, values, self._windows)
         pairs, unit = zip(others, self._cut, strict=True), self.joint_type
         predicted = [{part: next(pairs) for part in parts} for parts in self._by_horizon]
         training, measured = predicted[0]["train"]
