@@ -248,13 +248,15 @@ def _simulate(
     fraction, row, last = start - first_index, np.arange(len(start))[:, None], windows.ctrl.shape[1] - 1
     q, v = (np.broadcast_to(x[:, None], start.shape).copy() for x in (windows.qpos[:, 0], windows.qvel))
     positions = np.empty((windows.qpos.shape[1], *start.shape))
+    index = np.minimum(first_index + np.arange(len(positions))[:, None, None], last)
+    commands = windows.ctrl[row, index] * (1 - fraction) + windows.ctrl[row, np.minimum(index + 1, last)] * fraction
     damping_factor, dry_step = 1 / (1 + STEP * damping), STEP * dry
-    for i in range(len(positions)):
+    lowest, least_step = -limit, -dry_step
+    # Thousands of steps of small arrays: `np.clip` and indexing would take a third of their time.
+    for i, command in enumerate(commands):
         positions[i] = q
-        index = np.minimum(first_index + i, last)
-        u = windows.ctrl[row, index] * (1 - fraction) + windows.ctrl[row, np.minimum(index + 1, last)] * fraction
-        drive = np.clip(u - q, -limit, limit)
+        drive = np.minimum(np.maximum(command - q, lowest), limit)
         v = (v + STEP * (stiffness * drive - gravity * np.sin(q) + offset)) * damping_factor
-        v -= np.clip(v, -dry_step, dry_step)
+        v -= np.minimum(np.maximum(v, least_step), dry_step)
         q = q + STEP * v
     return np.moveaxis(positions, 0, -1)
