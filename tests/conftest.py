@@ -66,6 +66,7 @@ BRIEF = {  # options of an evaluation that takes no time
     **{"evaluation.horizons": "[0.1]", "evaluation.rollouts": "1", "evaluation.places": "1"},
     **{"evaluation.trajectory": "0.1", "evaluation.window": "0.02"},
 }
+compose_once = functools.cache(compose_config)  # what it returns is not to be changed; Hydra takes 0.1 s for each
 LAUNCHERS = ("joblib", "submitit_local", "ray")  # of sweeps
 UNOPTIMISED = "jax_disable_most_optimizations"  # XLA as JAX's own tests use it: compiling takes two thirds of the time
 
@@ -169,9 +170,8 @@ class Finished:
 
 @pytest.fixture(scope="session")
 def compose() -> Callable[..., DictConfig]:
-    """Composes a job's configuration from overrides, as the command line would; Hydra takes 0.1 s for each."""
-    remembered = functools.cache(compose_config)
-    return lambda *overrides: copy.deepcopy(remembered(*overrides))
+    """Composes a job's configuration from overrides, as the command line would."""
+    return lambda *overrides: copy.deepcopy(compose_once(*overrides))
 
 
 @pytest.fixture(scope="session")
@@ -179,7 +179,7 @@ def make() -> Callable[..., Any]:
     """Builds the part `section` of the configuration with these overrides; more arguments go to the constructor."""
 
     def make(section: str, *overrides: str, **more: Any) -> Any:
-        config = OmegaConf.to_container(compose_config(*overrides), resolve=True)
+        config = OmegaConf.to_container(compose_once(*overrides), resolve=True)
         return build(complete_laws(config[section], config) if section == "model" else config[section], **more)
 
     return make

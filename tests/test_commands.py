@@ -22,7 +22,7 @@ from pathlib import Path
 
 import pytest
 import reproduce
-from conftest import BRIEF, LAUNCHERS, Finished, needs_data, render_nothing
+from conftest import BRIEF, LAUNCHERS, Finished, compose_once, needs_data, render_nothing
 from filelock import FileLock
 from helpers.benchmarks import QUICKEST
 from helpers.pages import PACKAGE, PAGES, ROOT, blocks_of, commands_of, expand
@@ -95,7 +95,7 @@ def jobs_of(arguments: Sequence[str], *groups: str) -> Iterator[tuple[str, ...]]
 def shrink(arguments: Sequence[str], cache: Path) -> list[str]:
     """The options of `SMALL`, and a cache, that all of these jobs have and that none of the arguments sets."""
     groups = [folder.name for folder in CONF_DIR.iterdir() if folder.is_dir()]
-    configs = [compose_choices(*choices) for choices in jobs_of(arguments, *groups)]
+    configs = [compose_once(*choices) for choices in jobs_of(arguments, *groups)]
     named = {argument.partition("=")[0] for argument in arguments}
     return [
         f"{option}={value}"
@@ -104,7 +104,7 @@ def shrink(arguments: Sequence[str], cache: Path) -> list[str]:
     ]
 
 
-absent, compose_choices, read_once = object(), functools.cache(compose_config), functools.cache(files.read_tables)
+absent, read_once = object(), functools.cache(files.read_tables)
 
 
 def do_jobs(command: str, place: Place) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import hypothesis.strategies as st
 import pytest
-from conftest import check_each
+from conftest import check_each, compose_once
 from hypothesis import given
 from omegaconf import DictConfig, OmegaConf
 
@@ -49,8 +49,6 @@ VARIANTS = [
     if (CONF_DIR / "variant" / f"{experiment.stem}_{model}.yaml").exists()
 ]
 
-compose_once = functools.cache(compose_config)  # what it returns is not to be changed
-
 
 def changed(plain: DictConfig, *overrides: str) -> DictConfig:
     """A composed configuration with other values; a key after ~ is left out."""
@@ -66,7 +64,7 @@ def test_every_choice_composes_resolves_and_builds(number: int, monkeypatch: pyt
     monkeypatch.setattr(loggers, "_require", lambda *packages: None)  # loggers whose package is not installed
     chosen = {group: names[number % len(names)] for group, names in CHOICES.items() if group != "bench"}
     gains = [f"bench.actuator.params.{name}.init=2" for name in ("kp", "kd") if chosen["data"] == "files"]
-    config = OmegaConf.to_container(compose_config(*map("=".join, chosen.items()), *gains), resolve=True)
+    config = OmegaConf.to_container(compose_once(*map("=".join, chosen.items()), *gains), resolve=True)
     assert set(config) >= {*CHOICES, "seed", "segments", "loss", "loop", "evaluation"}
     assert isinstance(config["seed"], int)
     for group, home in HOMES.items():
@@ -123,7 +121,7 @@ def test_a_variant_is_taken_with_its_experiment_and_model() -> None:
 
 
 def check_variant(experiment: str, model: str) -> None:
-    name, config = f"{experiment}_{model}", compose_config(f"experiment={experiment}", f"model={model}")
+    name, config = f"{experiment}_{model}", compose_once(f"experiment={experiment}", f"model={model}")
     asked = OmegaConf.load(CONF_DIR / "variant" / f"{name}.yaml")
     for file in [*(base for base in asked.pop("defaults", []) if base != "_self_"), name]:
         for key, value in list_options(OmegaConf.to_container(OmegaConf.load(CONF_DIR / "variant" / f"{file}.yaml"))):
@@ -142,7 +140,7 @@ def check_experiment(path: Path, pages: list[str]) -> None:
     assert any(command.removeprefix("# ") in page for page in pages)
     words = shlex.split(command.removeprefix("# "))
     assert words[:4] == ["python", "-m", "frictionzoo.run", f"experiment={path.stem}"]
-    chosen = compose_config(*words[3:])
+    chosen = compose_once(*words[3:])
     plain = compose_once(f"data={chosen.data.name}", *words[4:], *_choices(path))
     check_overrides(chosen, plain)
 

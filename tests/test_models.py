@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import ROOT, check_each
+from conftest import ROOT, check_each, compose_once
 from helpers.laws import friction
 from omegaconf import OmegaConf
 
@@ -29,8 +29,6 @@ OURS = [name for name in model_names() if get_model(name).__module__.startswith(
 NETWORKS = [name for name in OURS if issubclass(get_model(name), NetworkModel)]
 ANALYTIC = [name for name in OURS if get_model(name).dimensions and name not in NETWORKS]
 BENCHES = sorted(path.stem for path in (CONF / "bench").glob("*.yaml"))
-
-compose_once = cache(compose_config)
 
 
 @cache

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import check_each
+from conftest import check_each, compose_once
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from jaxtyping import TypeCheckError
 from omegaconf import DictConfig, OmegaConf
@@ -32,7 +32,6 @@ from frictionzoo.simulation.proof import Proof
 VALUES = (float("nan"), float("inf"), None, "", 0, -1, 1e9, "absurd", [])
 NAMED = VALUES[:4]  # what never is the matter of another option
 
-compose_once = functools.cache(compose_config)  # what it returns is not to be changed
 FILES = "data=files bench=knee recipe=given"
 REFUSED = {  # what is chosen, and arguments whose value is of another kind, or of a size that no memory holds
     "seed=0": f"""segments.count=nan loss.position=nan evaluation.horizons=[inf] loss.velocity=null

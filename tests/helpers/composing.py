@@ -1,16 +1,15 @@
 """Jobs that a page shows, composed."""
 
-import functools
 import itertools
 
+from conftest import compose_once
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_choices
+from frictionzoo.core.config import CONF_DIR, check_overrides, list_choices
 from helpers.pages import expand
 
 FLAGS = {"-m", "--cfg", "job", "--help"}
-compose_once = functools.cache(compose_config)  # pages share most of what they choose; nothing here changes it
 
 
 def is_choice(override):

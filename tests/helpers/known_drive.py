@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from conftest import compose_once
 from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
-from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Objective, Space, run_fit
@@ -41,7 +41,7 @@ class Problem:
 @cache
 def record() -> Segments:
     """Segments of a drive with MuJoCo's own friction, made by MuJoCo C, without noise."""
-    bench = build(OmegaConf.to_container(compose_config(), resolve=True)["bench"])
+    bench = build(OmegaConf.to_container(compose_once(), resolve=True)["bench"])
     values = bench.initial_values() | {"armature": np.array([TRUTH["armature"]])}
     text = bench.mjcf(values, np.array([TRUTH["frictionloss"]]), np.array([TRUTH["damping"]]))
     model = mujoco.MjModel.from_xml_string(text)
@@ -65,7 +65,7 @@ def record() -> Segments:
 @cache
 def compose_drive(choices: tuple[str, ...]) -> tuple[Bench, FrictionModel]:
     """The bench and the law of these choices."""
-    config = OmegaConf.to_container(compose_config(*choices), resolve=True)
+    config = OmegaConf.to_container(compose_once(*choices), resolve=True)
     bench, law = build(config["bench"]), build(config["model"], nv=1)
     law.prepare(DriveState(*np.random.default_rng(0).normal(size=(5, 100, 1))))
     return bench, law
