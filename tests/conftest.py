@@ -422,7 +422,8 @@ def finished_run(
         with FileLock(home.with_suffix(".lock")):
             if not told.exists():
                 option = "hydra.sweep.dir" if "-m" in RUNS[name] else "hydra.run.dir"
-                with contextlib.chdir(home), job_settings(compilation_cache):
+                with contextlib.chdir(home), job_settings(compilation_cache), pytest.MonkeyPatch.context() as patch:
+                    patch.setattr("frictionzoo.report.comparison_plots.FORMATS", ("png",))  # a PDF takes as long again
                     finished = run_main(*RUNS[name], *tiny, f"{option}={home / 'run'}")
                 assert finished.status == 0, finished.err
                 told.write_text(json.dumps(vars(finished)))

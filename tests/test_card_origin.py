@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cards
 import pytest
-from conftest import finish, job_settings, needs_data, run_main
+from conftest import finish, job_settings, needs_data, render_nothing, run_main
 from helpers.bam import M1, options, write_logs
 
 import frictionzoo as fz
@@ -36,7 +36,8 @@ def run(file: Path, compilation_cache: Path) -> Path:
     logs.mkdir()
     write_logs(logs, M1, seconds=1.6)
     folder, short = file.with_name("run"), ("evaluation.horizons=[0.5]", "evaluation.trajectory=1.0")
-    with job_settings(compilation_cache):
+    with job_settings(compilation_cache), pytest.MonkeyPatch.context() as patch:
+        render_nothing(patch)
         done = run_main(*options(logs, file), *short, f"hydra.run.dir={folder}")
     assert done.status in (0, 3), done.err
     return folder

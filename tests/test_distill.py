@@ -46,6 +46,7 @@ def values_of(result: dict[str, Any]) -> dict[str, float]:
     return {parameter["name"]: parameter["value"] for parameter in result["parameters"]}
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_law_of_the_same_family_is_found_again(teacher: Path, distill: Callable, tmp_path: Path) -> None:
     finished = distill(teacher, "model=mujoco_default", f"output={tmp_path / 'student'}")
     assert finished.status == 0, finished.err

@@ -344,6 +344,7 @@ def test_links_and_gravity_that_cannot_be_are_refused(options: dict[str, Any], o
         bench.with_gravity([0, 1])
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_job_finds_a_servo_by_its_torque(tiny, compilation_cache, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with job_settings(compilation_cache):

@@ -92,6 +92,7 @@ def read_files(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST}
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(call, finished_run, tmp_path, tiny):
     expected, _ = finished_run("coulomb_smooth")
     folder = shutil.copytree(expected, tmp_path / "copy")

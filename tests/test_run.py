@@ -145,6 +145,7 @@ def test_a_problem_that_makes_no_sense_is_refused(call, pose_problem, settings, 
 UNBOUNDED = ("fit.learning_rate=1e3", "model.params.viscous_coefficient.high=1e300", "fit.iterations=4")
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_fit_that_diverges_keeps_the_best_and_says_where(call: Callable, tmp_path: Path, tiny: tuple) -> None:
     finished = call(*tiny, *UNBOUNDED, RUN)
     assert finished.status == 2

@@ -255,6 +255,7 @@ def test_a_header_of_a_recording_does_not_reach_the_terminal() -> None:
         assert "\\x1b]0;owned\\x07" in finished.out + finished.err
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_names_of_a_run_do_not_reach_the_terminal(foreign: Path) -> None:
     path, forged = foreign / "result.json", f"files{TITLE}\nverdict: all is well"
     path.write_text(path.read_text().replace('"files"', json.dumps(forged)))

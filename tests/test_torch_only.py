@@ -218,7 +218,7 @@ def test_what_needs_more_than_a_gradient_is_refused_in_one_line(make, knee, segm
 
 
 @pytest.fixture
-def whole(call: Callable[..., Finished], tiny: tuple[str, ...], tmp_path: Path) -> Path:
+def whole(unrendered: None, call: Callable[..., Finished], tiny: tuple[str, ...], tmp_path: Path) -> Path:
     own = ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "dtype=float32")
     finished = call(*tiny, *own, "fit.iterations=3", f"hydra.run.dir={tmp_path / 'whole'}")
     assert finished.status == 0, finished.err
