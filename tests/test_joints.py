@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 import torch
+from helpers.two_joints import identify, record
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench, PositionPD
@@ -123,21 +123,7 @@ def recorded(leg: Callable[..., Bench]) -> Log:
     """Hip and knee with gains of their own, simulated with different armatures and friction."""
     bench = leg(actuator=PositionPD(kp=[20, 40], kd=[1, 2]), params={"armature": list(TRUTH["armature"])})
     law = MujocoDefault(2, {name: list(TRUTH[name]) for name in ("frictionloss", "damping")})  # pyright: ignore
-    time = np.arange(4000) * 0.001
-    rates = np.array([[1.3, 2.1], [3.1, 2.7]])
-    ctrl = sum(0.4 * np.sin(2 * np.pi * rate * time[:, None]) for rate in rates) + np.zeros((1, 2))
-    with jax.enable_x64(True):
-        start = torch.zeros((1, 2), dtype=torch.float64)
-        qpos, qvel = fz.rollout(bench, law, start, start, torch.from_numpy(ctrl)[None, :-1])
-    states = (np.concatenate([np.zeros((1, 2)), part[0].detach().numpy()]) for part in (qpos, qvel))
-    return Log("two joints", time, *states, ctrl, sha256="0" * 64, simulated=True)
-
-
-def identify(bench: Bench, log: Log, law: MujocoDefault) -> fz.Identified:
-    evaluation = {"horizons": [0.2], "trajectory": 0.5}
-    how: dict[str, Any] = {"recipe": "given", "test": 0.3, "method": "lm", "dtype": "float64"}
-    how["segments"] = {"length": 20, "count": 100}
-    return fz.identify(bench, law, log, evaluation=evaluation, **how)  # pyright: ignore[reportArgumentType]
+    return record(bench, law)
 
 
 def test_each_joint_is_found_with_gains_of_its_own(leg: Callable[..., Bench], recorded: Log) -> None:

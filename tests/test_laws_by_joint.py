@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 import pytest
 import torch
+from helpers.two_joints import identify, record
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench
@@ -17,7 +17,6 @@ from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Space
-from frictionzoo.models import FrictionModel
 from frictionzoo.simulation.drive import Drive, looks_at_one_joint
 from frictionzoo.simulation.proof import Recorded, initial_values, prove
 
@@ -122,16 +121,6 @@ def test_networks_of_two_patterns_have_weights_of_their_own() -> None:
     assert len(names) == 2 * len([*shared.parameters()]) and "odd_network_2.layers.0.weight" in names
 
 
-def record(bench: Bench, law: FrictionModel) -> Log:
-    time = np.arange(4000) * 0.001
-    rates = np.array([[1.3, 2.1], [3.1, 2.7]])
-    ctrl = sum(0.4 * np.sin(2 * np.pi * rate * time[:, None]) for rate in rates) + np.zeros((1, 2))
-    start = torch.zeros((1, 2), dtype=torch.float64)
-    qpos, qvel = fz.rollout(bench, law, start, start, torch.from_numpy(ctrl)[None, :-1])
-    states = (np.concatenate([np.zeros((1, 2)), part[0].detach().numpy()]) for part in (qpos, qvel))
-    return Log("two joints", time, *states, ctrl, sha256="0" * 64, simulated=True)
-
-
 @pytest.fixture(scope="module")
 def recorded(leg: Callable[..., Bench]) -> Log:
     """Hip and knee with laws of their own, simulated."""
@@ -140,20 +129,12 @@ def recorded(leg: Callable[..., Bench]) -> Log:
     law = by_joint(laws | {"hip": {"law": "mujoco_default", "params": truth["mujoco_default"]}}, 2)
     bench = leg(params={"armature": [0.02, 0.03]})
     law.bind(bench.joints)
-    with jax.enable_x64(True):
-        return record(bench, law)
-
-
-def identify(bench: Bench, log: Log, law: Any, **how: Any) -> fz.Identified:
-    evaluation = {"horizons": [0.2], "trajectory": 0.5}
-    cut = {"length": 20, "count": 100}
-    how |= {"recipe": "given", "test": 0.3, "segments": cut, "dtype": "float64", "evaluation": evaluation}
-    return fz.identify(bench, law, log, discretisation=False, **how)
+    return record(bench, law)
 
 
 @pytest.fixture(scope="module")
 def found(leg: Callable[..., Bench], recorded: Log) -> fz.Identified:
-    return identify(leg(), recorded, HIP_AND_KNEE, method="lm")
+    return identify(leg(), recorded, HIP_AND_KNEE)
 
 
 def test_each_law_is_found_in_its_joint(found: fz.Identified) -> None:
@@ -199,7 +180,7 @@ def test_with_one_law_for_all_joints_it_is_that_law(leg: Callable[..., Bench], r
 
 @pytest.mark.slow
 def test_a_fit_with_one_law_for_all_joints_is_that_of_the_law(leg: Callable[..., Bench], recorded: Log) -> None:
-    plain, ours = (identify(leg(), recorded, law, method="lm") for law in ("mujoco_default", "by_joint"))
+    plain, ours = (identify(leg(), recorded, law) for law in ("mujoco_default", "by_joint"))
     for name in ("frictionloss", "damping"):
         one, other = ours.parameters[f"friction.mujoco_default.{name}"], plain.parameters[f"friction.{name}"]
         np.testing.assert_array_equal(one.value, other.value)
