@@ -43,8 +43,8 @@ from frictionzoo.simulation.context import computing
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "
 SMALL = {  # options that make a job quick, where it has them and the page does not set them
-    **{"data.samples": "15000", "data.split.gap": "0.05", "segments.count": "20", "fit.iterations": "3"},
-    **{"loop.progress": "false", "recipe": "given"},
+    **{"data.samples": "6000", "data.split.gap": "0.05", "segments.count": "20", "fit.iterations": "3"},
+    **{"loop.progress": "false", "recipe": "given", "discretisation": "false"},
     **BRIEF,
 }
 STAND = """<mujoco><option timestep="0.001"><flag contact="disable"/></option><worldbody><body name="arm">
