@@ -178,6 +178,7 @@ def knee() -> fz.Bench:
     return fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0))
 
 
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("name", ["coulomb_stribeck", "neural_friction"])
 def test_it_finds_what_the_command_line_finds(recording, tmp_path, finished_run, name):
     network = name == "neural_friction"

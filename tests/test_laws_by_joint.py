@@ -151,6 +151,7 @@ def test_each_law_is_found_in_its_joint(found: fz.Identified) -> None:
     assert "null" not in shown and "nan" not in shown
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_run_is_written_and_read_back(found: fz.Identified, tmp_path: Path) -> None:
     found.save(tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text()
