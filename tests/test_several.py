@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("x64")
 
 LM, SEVERAL = LevenbergMarquardt(60, 1e-9), Several(60, 1e-9)
 CONTAINING = [name for name in model_names() if get_model(name).contains]
-SWINGS = ("data=twin", "data.samples=25000", "segments.length=100", "segments.count=60", "dtype=float64")
+SWINGS = ("data=twin", "data.samples=10000", "segments.length=100", "segments.count=60", "dtype=float64")
 
 
 def noisy() -> Segments:
@@ -80,7 +80,7 @@ def test_a_drive_of_two_inertias_ends_no_higher_than_one(pose_problem: Callable)
         problem = pose_problem(OmegaConf.to_container(compose_config(*options), resolve=True))
         return float(search(problem.fit, problem.objective)[0].best_loss)
 
-    assert lowest("backlash", "model.params.rotor_inertia.init=1.0") < lowest("mujoco_default")
+    assert lowest("backlash", "model.params.rotor_inertia.init=1e-4") < lowest("mujoco_default")
 
 
 def test_a_delay_is_looked_for_in_other_sample_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
