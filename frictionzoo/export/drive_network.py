@@ -118,7 +118,9 @@ class RecurrentDriveNetwork(torch.nn.Module):
 
     def __init__(self, drive: DriveNetwork, law: ActuatorLSTM) -> None:
         super().__init__()
-        self.drive, self.units, self.steps = drive, law.units, drive.steps
+        self.drive: DriveNetwork = drive
+        self.units: int = law.units
+        self.steps: int = drive.steps
         size = law.units + drive.steps - 1
         # On the meta device, because the constructor would use the global generator.
         self.lstm: torch.nn.LSTM = torch.nn.LSTM(2, size, batch_first=True, device="meta").to_empty(device="cpu")

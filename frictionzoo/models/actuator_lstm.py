@@ -80,9 +80,10 @@ class ActuatorLSTM(ActuatorModel):
         params: Params | None = None,
     ) -> None:
         refuse_outside("model.units", units, 1, MOST_WIDTH)
-        self.columns = units + 2
+        self.columns: int = units + 2
         super().__init__(nv, hidden, residual_limit, seed, params)
-        self.units, self.memory = units, 2 * units
+        self.units: int = units
+        self.memory: int = 2 * units
         generator = torch.Generator().manual_seed(seed + 1)
         self.gates: torch.nn.Linear = draw_linear(2, 2 * units, generator)
         self.forget: torch.nn.Linear = draw_linear(units + 2, units, generator)

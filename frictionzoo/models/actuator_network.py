@@ -20,7 +20,7 @@ class ActuatorModel(ResidualNetwork):
         history: Simulation steps whose torque and velocity are inputs, the present one, 0, first.
     """
 
-    sees = ("speed", "slow", "fast", "direction", "load", "reversal")
+    sees: ClassVar[tuple[str, ...]] = ("speed", "slow", "fast", "direction", "load", "reversal")
     count: ClassVar[int] = 2
     export_target: ClassVar[str] = "actuator_net"
     history: Sequence[int] = (0,)
@@ -93,10 +93,10 @@ class ActuatorNetwork(ActuatorModel):
                 f"model.history={steps}; expected two whole numbers or more, ascending from 0 to at "
                 f"most {LONGEST}, as [0,1,2]"
             )
-        self.columns = 2 * len(steps)
+        self.columns: int = 2 * len(steps)
         super().__init__(nv, hidden, residual_limit, seed, params)
-        self.history = steps
-        self.memory = 2 * steps[-1]
+        self.history: Sequence[int] = steps
+        self.memory: int = 2 * steps[-1]
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """Return torque and velocity of each past step, the newest first, as if the state had lasted."""

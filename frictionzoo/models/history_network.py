@@ -1,7 +1,7 @@
 """Friction as a neural network with memory."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -59,7 +59,7 @@ class HistoryNetwork(NetworkModel):
             shorter first.
     """
 
-    sees = (*NetworkModel.sees, "reversal")
+    sees: ClassVar[tuple[str, ...]] = (*NetworkModel.sees, "reversal")
     time_constants: torch.Tensor
 
     def __init__(

@@ -40,7 +40,7 @@ class NetworkModel(FrictionModel):
         ConfigError: A width or the number of layers is out of bounds; see also `FrictionModel`.
     """
 
-    sees = ("speed", "slow", "fast", "direction", "load", "position")
+    sees: ClassVar[tuple[str, ...]] = ("speed", "slow", "fast", "direction", "load", "position")
     columns: int = INPUTS
     count: ClassVar[int] = INPUTS
     input_mean: torch.Tensor

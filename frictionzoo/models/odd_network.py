@@ -1,7 +1,7 @@
 """Friction as a neural network without a preferred direction."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class OddNetwork(GearNetwork):
     because a position command has no sign that reverses with the motion.
     """
 
-    sees = ("speed", "slow", "fast", "load", "position")
+    sees: ClassVar[tuple[str, ...]] = ("speed", "slow", "fast", "load", "position")
 
     def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0) -> None:
         super().__init__(nv, hidden, 1, seed)

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState, FrictionTerms
@@ -26,7 +26,7 @@ class TemperatureModel(FrictionModel):
 
     constraint = True
     dissipative = True
-    sees = ("speed", "temperature")
+    sees: ClassVar[tuple[str, ...]] = ("speed", "temperature")
 
     def __init__(self, nv: int, reference: float = 25.0, params: Params | None = None) -> None:
         super().__init__(nv, params)

@@ -33,7 +33,7 @@ class ModuleFriction(TorchFriction):
     def __init__(self, module: torch.nn.Module, nv: int) -> None:
         super().__init__(nv)
         self.name = type(module).__name__
-        self.module = module
+        self.module: torch.nn.Module = module
 
     def forward(self, state: DriveState) -> FrictionTerms:
         """Compute the torque, which opposes motion if it has the sign of the velocity."""
