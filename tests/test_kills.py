@@ -42,15 +42,13 @@ STATUS = {  # of a program that was ended so after it had begun, and before it h
 STAGES = ("", ".hydra/overrides.yaml", "checkpoints/last.ckpt", "figures", "friction.safetensors", "report.html")
 LATEST = 1.5
 PATIENCE = 300.0  # s after which a process that has not ended is a failure
-# The program with a law of its own; as in frictionzoo.cli.commands, Ctrl-C is answered from the start.
+# The program with a law of its own.
 WITH_LAW = """
-import signal
-signal.signal(signal.SIGINT, signal.SIG_DFL)
+from frictionzoo.cli.commands import main
 from frictionzoo.models import register_model
 from helpers.torch_laws import TorchStribeck
 register_model("torch_stribeck")(TorchStribeck)
-from frictionzoo.cli.run import main
-main()
+main("run")
 """
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("in_haste", "interruptible")]

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from frictionzoo import __version__
-from frictionzoo.cli.mistakes import fail, hand_over_output, outlive_readers
+from frictionzoo.cli.mistakes import exit_beside_threads, fail, hand_over_output, outlive_readers
 from frictionzoo.core.errors import closest
 from frictionzoo.core.telling import tell, telling_again
 
@@ -118,6 +118,10 @@ def main(*command: str) -> None:
     try:
         with telling_again():
             dispatch([*command, *sys.argv[1:]])
+    except SystemExit as end:
+        if isinstance(end.code, int) and end.code > 128:
+            exit_beside_threads(end.code)
+        raise
     finally:
         hand_over_output()
         gc.freeze()  # at exit Python would look for garbage among millions of objects, which takes about 2 s

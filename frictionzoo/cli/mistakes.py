@@ -1,5 +1,6 @@
 """End of a command: a mistake or a signal gives one line on standard error and an exit status."""
 
+import atexit
 import contextlib
 import io
 import os
@@ -143,6 +144,14 @@ def hand_over_output() -> None:
     sys.stdout.flush()
     if (output := _lasting(sys.stdout)) and output.fault:
         fail(f"standard output: {output.fault}; not all of it was printed")
+
+
+def exit_beside_threads(status: int) -> NoReturn:
+    """End the process after a signal: XLA's threads may still compile, and crash while C++ removes what they use."""
+    atexit._run_exitfuncs()  # Ray ends its processes here, and logging flushes
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(status)
 
 
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:
