@@ -69,7 +69,7 @@ import numpy as np
 from frictionzoo.report.terminal import summarise
 
 again = fz.load("run")
-assert "files: run\\n\\n" in repr(again) and "loaded in MuJoCo" in repr(again)
+assert "files: run\\n\\n" in repr(again) and "difference in MuJoCo" in repr(again)
 again.result.written = []  # only a run in a folder has files
 assert summarise(again.result, None) == repr(fit)
 assert {*again.parameters} == {*fit.parameters} and again.metrics == fit.metrics
@@ -150,7 +150,7 @@ def test_the_block_runs_in_a_notebook(stand, tmp_path, compilation_cache, finish
     }
     assert {*shown} == {"fit", "fz.compare", "fz.load"}
     assert all("<table>" in page for page in shown.values())
-    played = r"<table><tr><th>loaded in MuJoCo.*?</table>\s*(?:<p>identified\.xml: [^<]*</p>)*\s*"
+    played = r"<table><tr><th>difference in MuJoCo.*?</table>\s*(?:<p>identified\.xml: [^<]*</p>)*\s*"
     loaded = re.sub(rf"<p>files: [^<]*</p>\s*|{played}", "", shown["fz.load"])  # of files, which only a folder has
     assert loaded != shown["fz.load"] and loaded == shown["fit"]
     run = tmp_path / "run"
