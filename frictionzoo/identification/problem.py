@@ -22,6 +22,7 @@ from frictionzoo.fit.motion import Recordings
 from frictionzoo.fit.start import begin_where
 from frictionzoo.identification.pilot import Pilot
 from frictionzoo.identification.recipe import Parts
+from frictionzoo.models import TorchFriction
 from frictionzoo.result.evaluate import Evaluator
 from frictionzoo.result.fitted_drive import FittedDrive
 from frictionzoo.result.record import describe_data
@@ -81,6 +82,8 @@ class Problem:
         """
         began = time.perf_counter()
         settings, model, fit, start = parts.settings, parts.model, parts.fit, parts.start
+        if isinstance(model, TorchFriction):
+            model.double()  # torch evaluates it with the module's own values too, at states in float64
         bench = parts.bench.observing(model.inputs)
         accepted = bench.accept_all(parts.dataset)
         if links := fit.revise(Recordings(bench, model, accepted.train)):
