@@ -59,13 +59,18 @@ def values_of(stand: fz.Bench, friction: fz.FrictionModel) -> dict[str, dict[str
     return {"bench": stand.initial_values(), "friction": own}
 
 
-def roll(stand: fz.Bench, ctrl: np.ndarray) -> np.ndarray:
+def roll(
+    stand: fz.Bench,
+    ctrl: np.ndarray,
+    friction: fz.FrictionModel | None = None,
+    start: tuple[float, float] = START,
+) -> np.ndarray:
     """Positions under a command."""
-    friction = law()
+    friction = friction or law()
     with jax.enable_x64(True):
         drive = Drive.assemble(stand, friction, "auto", stand.sampling(INTERVAL))
         values = values_of(stand, friction)
-        state = np.array([[START[0]]]), np.array([[START[1]]])
+        state = np.array([[start[0]]]), np.array([[start[1]]])
         qpos, _ = drive.rollout.compiled(values, *state, Signals(ctrl[None, :, None]))
         return np.asarray(qpos)[0, :, 0]
 
@@ -99,6 +104,58 @@ def test_errors_fall_with_the_square_of_the_step(integrator: str, tmp_path: Path
     plain = np.abs(roll(bench(tmp_path, integrator, steps[-1], second_order=False), COMMANDS) - truth).max()
     assert 3.3 < errors[0] / errors[1] < 4.7 and 3.3 < errors[1] / errors[2] < 4.7
     assert errors[-1] < 3e-5 and plain > 20 * errors[-1]
+
+
+STIFFNESS, MICRO, BY_LOAD = 200.0, 0.5, 1e-4
+SPRINGS = {
+    "dahl": {"coulomb_torque": KINETIC},
+    "lugre": {"static_torque": STATIC, "kinetic_torque": KINETIC, "stribeck_velocity": 0.3, "micro_damping": MICRO},
+    "torque_proportional": {"coulomb_torque": KINETIC, "presliding": KINETIC / STIFFNESS}
+    | {"load_friction_driving": BY_LOAD, "load_friction_braking": BY_LOAD},  # of more, the load is of first order
+    "maxwell_slip": {"static_torque": KINETIC, "kinetic_torque": KINETIC, "presliding": KINETIC / STIFFNESS},
+}
+REST = 0.0, 0.0  # no load, so that no spring is bent
+
+
+def solve_springs(name: str, ctrl: np.ndarray) -> np.ndarray:
+    """Positions of a drive with presliding, from rest, by Runge and Kutta."""
+    given, whole = SPRINGS[name], INERTIA + MASS * CENTRE**2 + ARMATURE
+
+    def slope(_: float, state: np.ndarray, command: float) -> list[float]:
+        qpos, qvel, bent = state
+        limit, motor = KINETIC, KP * (command - qpos) - KD * qvel
+        if name == "lugre":
+            limit += (STATIC - KINETIC) * np.exp(-((qvel / given["stribeck_velocity"]) ** 2))
+        rate = qvel - STIFFNESS * abs(qvel) * bent / limit
+        spring = STIFFNESS * bent + given.get("micro_damping", 0.0) * rate
+        if name == "torque_proportional":
+            spring *= 1 + BY_LOAD * abs(motor) / KINETIC
+        if name == "maxwell_slip":  # of one element
+            rate = 0.0 if STIFFNESS * bent * np.sign(qvel) >= KINETIC else qvel
+        weight = MASS * GRAVITY * CENTRE * np.sin(qpos)
+        return [qvel, (motor - spring - (VISCOUS + OWN) * qvel - weight) / whole, rate]
+
+    state, found = np.array([*REST, 0.0]), []
+    for command in ctrl:
+        options = {"rtol": 1e-10, "atol": 1e-13, "max_step": 2e-4}
+        state = solve_ivp(slope, (0, INTERVAL), state, args=(command,), **options).y[:, -1]
+        found.append(state[0])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+@pytest.mark.parametrize("name", SPRINGS)
+def test_springs_of_a_friction_model_are_of_second_order_too(name: str, integrator: str, tmp_path: Path) -> None:
+    values = {**SPRINGS[name], "viscous_coefficient": VISCOUS}
+    values |= {"stiffness": STIFFNESS} if name in ("dahl", "lugre") else {}
+    options = {"elements": 1} if name == "maxwell_slip" else {}
+    ctrl = 0.05 * np.sin(6 * INTERVAL * np.arange(100))
+    sizes = {key: {"init": value, "high": 2 * value} for key, value in values.items()}
+    friction = fz.law(name, params=sizes, **options)
+    truth = solve_springs(name, ctrl)
+    steps = (2.5e-3, 1.25e-3, 6.25e-4)
+    errors = [np.abs(roll(bench(tmp_path, integrator, h), ctrl, friction, REST) - truth).max() for h in steps]
+    assert errors[0] / errors[1] > 3 and errors[1] / errors[2] > 2.8 and errors[-1] < 5e-6
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])

@@ -152,6 +152,16 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         """
         return self.terms(xp, values, state), memory
 
+    def advance_midway(
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """Advance one step of a second-order rollout, whose states are half a step apart; arguments as in `advance`.
+
+        The torque belongs to the middle of the step from `state.qvel` to the next velocity, and the memory in this
+        state is the memory there. By default `advance`, of first order for a model with memory.
+        """
+        return self.advance(xp, values, state, memory, timestep)
+
     def prepare(self, samples: DriveState) -> None:
         """Take constants, such as a normalisation, from training samples of shape (samples, nv), in numpy.
 

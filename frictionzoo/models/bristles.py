@@ -84,12 +84,29 @@ class BristleModel(FrictionModel):
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """Return the bristle torque at the end of the step, and the deflection in this state."""
-        limit = self.limit(xp, values, state)
         stiffness, micro_damping = values["stiffness"], values.get("micro_damping", 0.0)
+        limit, decay, reach, bent = self._bend(xp, values, state, memory, timestep)
         rate = stiffness * xp.abs(state.qvel) / limit
-        decay, reach = remaining(xp, rate, timestep)
-        bent = decay * memory[..., 0] + reach * state.qvel
         # With z' = v - rate z at the end of the step: s z + c z' = (s - c rate) decay z + (s reach + c decay) v.
         torque = (stiffness - micro_damping * rate) * decay * bent
         damping = stiffness * reach + micro_damping * decay + values["viscous_coefficient"]
         return FrictionTerms(torque=torque, damping=damping), bent[..., None]
+
+    def advance_midway(
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """Return the bristle torque in the middle of the step, and the deflection there."""
+        stiffness = values["stiffness"]
+        limit, _, reach, bent = self._bend(xp, values, state, memory, timestep)
+        # The part s reach of the damping brakes only the change of velocity, so the step is stable at any stiffness.
+        damping = stiffness * reach + values["viscous_coefficient"]
+        if "micro_damping" in values:
+            # z' = (1 - s sign(v) z / limit) v
+            damping = damping + values["micro_damping"] * (1 - stiffness * xp.sign(state.qvel) * bent / limit)
+        return FrictionTerms(torque=stiffness * (bent - reach * state.qvel), damping=damping), bent[..., None]
+
+    def _bend(self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float) -> tuple[Any, ...]:
+        """Return the limit, decay and reach of a step (see `remaining`), and the deflection after it."""
+        limit = self.limit(xp, values, state)
+        decay, reach = remaining(xp, values["stiffness"] * xp.abs(state.qvel) / limit, timestep)
+        return limit, decay, reach, decay * memory[..., 0] + reach * state.qvel

@@ -131,10 +131,22 @@ class ByJoint(FrictionModel):
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """Advance each joint's model by one step."""
+        return self._advance("advance", xp, values, state, memory, timestep)
+
+    def advance_midway(
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """See `FrictionModel.advance_midway`."""
+        return self._advance("advance_midway", xp, values, state, memory, timestep)
+
+    def _advance(
+        self, method: str, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
         parts, after = [], []
         groups = zip(self._groups(values, state), self.members, self.widths, strict=True)
         for (law, own, part), joints, width in groups:
-            terms, law_memory = law.advance(xp, own, part, memory[..., np.array(joints), :width], timestep)
+            step = getattr(law, method)
+            terms, law_memory = step(xp, own, part, memory[..., np.array(joints), :width], timestep)
             parts.append(terms)
             after.append(_fill(xp, law_memory, self.memory, part))
         return _join_terms(xp, parts, self.members, self.order, state), _join(xp, after, self.order, -2)

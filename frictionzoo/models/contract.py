@@ -206,14 +206,16 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
         _fail(model, "memory", "a law that exists only in torch has none; derive it from FrictionModel")
     shape = (*samples.qvel.shape, model.memory)
 
-    def step(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
+    def step(method: str, xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
         memory = model.settle(xp, values, drive)
-        terms, after = model.advance(xp, values, drive, memory, TIMESTEP)
+        terms, after = getattr(model, method)(xp, values, drive, memory, TIMESTEP)
         for name, array in (("settled memory", memory), ("memory", after)):
             _check_shape(model, name, tuple(array.shape), shape)
         return {**terms.given(), "settled memory": memory, "memory": after}
 
-    _check_formula(model, samples, step, "a step", ("memory", "gradient "))
+    overridden = type(model).advance_midway is not FrictionModel.advance_midway
+    for method in ("advance", *["advance_midway"] * overridden):
+        _check_formula(model, samples, partial(step, method), "a step", ("memory", "gradient "))
     fast = torch_state(samples._replace(qvel=np.sign(samples.qvel) + (samples.qvel == 0)))
     settled = model.settle(torch, torch_values(model), fast)
     after = model.advance(torch, torch_values(model), fast, settled, TIMESTEP)[1]

@@ -1,5 +1,6 @@
 """Friction of several springs that slip one after the other."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from frictionzoo.core.errors import refuse_outside
@@ -79,18 +80,37 @@ class MaxwellSlip(FrictionModel):
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """Return the torque of slipping elements and of sticking ones at the end of the step, and all forces."""
+        forces, torque, damping = [], 0.0, values["viscous_coefficient"]
+        for force, following, added in self._elements(xp, values, state, memory, timestep):
+            torque = torque + following
+            damping = damping + added
+            forces.append(force)
+        return FrictionTerms(torque=torque, damping=damping), xp.stack(forces, -1)
+
+    def advance_midway(
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """Return the torque of all elements in the middle of the step, and all forces."""
+        forces, added = [], 0.0
+        for force, _, more in self._elements(xp, values, state, memory, timestep):
+            added = added + more
+            forces.append(force)
+        # That damping brakes only the change of velocity, so the step is stable at any stiffness.
+        terms = FrictionTerms(sum(forces) - added * state.qvel, damping=added + values["viscous_coefficient"])
+        return terms, xp.stack(forces, -1)
+
+    def _elements(
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> Iterator[tuple[Any, Any, Any]]:
+        """Yield each element's force, and its torque at the end of the step as a torque and a damping."""
         limit = stribeck_force(xp, values, state.qvel) / self.memory
         follows = xp.exp(-timestep / values["lag"])
         softest = values["kinetic_torque"] / values["presliding"]
-        forces, torque, damping = [], 0.0, values["viscous_coefficient"]
         for element in range(self.memory):
             stiffness = softest / (element + 1)
             force, _ = _move(xp, memory[..., element], stiffness * timestep * state.qvel, limit, follows)
             following, slips = _move(xp, force, stiffness * timestep * state.qvel, limit, follows)
-            torque = torque + xp.where(slips, following, force)
-            damping = damping + xp.where(slips, 0.0, stiffness * timestep)
-            forces.append(force)
-        return FrictionTerms(torque=torque, damping=damping), xp.stack(forces, -1)
+            yield force, xp.where(slips, following, force), xp.where(slips, 0.0, stiffness * timestep)
 
 
 def _move(xp: Any, force: Any, pull: Any, limit: Any, follows: Any) -> tuple[Any, Any]:

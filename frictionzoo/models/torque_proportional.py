@@ -91,16 +91,31 @@ class TorqueProportional(FrictionModel):
     ) -> tuple[FrictionTerms, Any]:
         """Return the torque at the end of the step, and the memory."""
         even, odd = self._sizes(xp, values, state)
-        decay, reach = remaining(xp, xp.abs(state.qvel) / values["presliding"], timestep)
-        slope = reach / values["presliding"]
-        sign = decay * memory[..., 0] + slope * state.qvel
+        decay, slope, sign = _turn(xp, values, state, memory, timestep)
         # One factor of z^2 is evaluated at this velocity, so the torque of the other factor never drives the joint.
         size = even + odd * (decay * sign + slope * state.qvel)
         damping = size * slope + values["viscous_coefficient"]
         return FrictionTerms(torque=size * decay * sign, damping=damping), sign[..., None]
+
+    def advance_midway(
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """Return the torque in the middle of the step, and the memory there."""
+        even, odd = self._sizes(xp, values, state)
+        _, slope, sign = _turn(xp, values, state, memory, timestep)
+        size = even + odd * sign
+        damping = size * slope + values["viscous_coefficient"]  # its first part brakes only the change of velocity
+        return FrictionTerms(torque=size * (sign - slope * state.qvel), damping=damping), sign[..., None]
 
     def _sizes(self, xp: Any, values: Values, state: DriveState) -> tuple[Any, Any]:
         """Return the coefficients of z and z^2 [N m or N]."""
         driving, braking = values["load_friction_driving"], values["load_friction_braking"]
         even = values["coulomb_torque"] + (driving + braking) / 2 * xp.abs(state.motor_torque)
         return even, (driving - braking) / 2 * state.motor_torque
+
+
+def _turn(xp: Any, values: Values, state: DriveState, memory: Any, timestep: float) -> tuple[Any, Any, Any]:
+    """Return decay and slope of a step of the memory, and the memory after it."""
+    decay, reach = remaining(xp, xp.abs(state.qvel) / values["presliding"], timestep)
+    slope = reach / values["presliding"]
+    return decay, slope, decay * memory[..., 0] + slope * state.qvel

@@ -41,7 +41,7 @@ class Drive:
         if isinstance(model, TorchFriction):
             simulated = make_engine(engine, bench, AS_GIVEN, model.constrained)
             return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
-        simulated = make_engine(engine, bench, friction_of(model), model.constrained)
+        simulated = make_engine(engine, bench, friction_of(model, sampling.second_order), model.constrained)
         coupled = any(bench.branches) and not looks_at_one_joint(model)
         return cls(model, simulated, make_rollout(simulated, sampling, coupled))
 

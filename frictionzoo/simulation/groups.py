@@ -125,8 +125,9 @@ def _specialised(
     bench: Bench, differ: Sequence[int], constrainable: bool, fields: Sequence[tuple[str, int]]
 ) -> tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]:
     """Return the functions of a `Group`, for this bench and those that differ in these fields and link properties."""
-    # Benches with equal MJCF at equal values differ only in initial values and bounds, inputs of MJX's model.
-    ones = dict.fromkeys(bench.params, np.ones(bench.nv))
+    # Benches with equal MJCF at equal values differ only in initial values and bounds, inputs of MJX's model. A rollout
+    # delays the commands before they reach the engine.
+    ones = {name: np.full(bench.nv, float(name != "delay")) for name in bench.params}
     key = f"{type(bench.actuator).__qualname__} {bench.payload} {differ} {fields} {bench.mjcf(ones)}"
     if key not in _known:
         with jax.enable_x64(True):
