@@ -56,6 +56,8 @@ def run_law(law: FrictionModel, motor: Motor, lag: float, seed: int) -> tuple[np
 def test_a_run_suggests_a_target_that_exists() -> None:
     suggested = {name: MODELS.get(name).export_target for name in MODELS.names()}
     assert {*suggested.values()} <= {*TARGETS.names()}
+    exact = {name for name, target in suggested.items() if target == "mjcf"}
+    assert exact == {"baseline", "mujoco_default"} and suggested["stribeck"] == "mujoco"
     assert suggested["actuator_network"] == suggested["actuator_lstm"] == "actuator_net"
 
 

@@ -17,7 +17,7 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.diagnostics.findings import Repair
 from frictionzoo.diagnostics.recordings import check_up
 from frictionzoo.identification.commands import complete_options
-from frictionzoo.report.run_page import list_uses
+from frictionzoo.report.run_page import find_target, list_uses
 from frictionzoo.report.terminal import summarise
 from frictionzoo.result.record import read_run
 from frictionzoo.result.section_types import SuggestedCommand
@@ -104,6 +104,8 @@ def test_what_is_not_to_be_used_goes_neither_to_hardware_nor_elsewhere(finished_
     usable.not_identified = None
     kept = judge(usable, rows)
     assert kept.grade != DO_NOT_USE
+    usable.verdict = kept
+    assert any("frictionzoo.export" in line for line in list_uses("a", find_target(usable)))
     if repair:
         assert [row.kind for row in kept.commands] == ["repair", "law", "export"]
     spoilt = usable
@@ -111,9 +113,8 @@ def test_what_is_not_to_be_used_goes_neither_to_hardware_nor_elsewhere(finished_
     spoilt.verdict = judge(spoilt, rows)
     assert spoilt.verdict.grade == DO_NOT_USE and not is_usable(spoilt)
     assert [row.kind for row in spoilt.verdict.commands] == [*["repair"] * repair, "inspect"]
-    for shown in (summarise(spoilt, None), "\n".join(list_uses("a", is_usable(spoilt)))):
+    for shown in (summarise(spoilt, None), "\n".join(list_uses("a", find_target(spoilt)))):
         assert not any(word in shown for word in HARDWARE)
-    assert any("frictionzoo.export" in line for line in list_uses("a"))
 
 
 def test_a_repair_of_one_joint_keeps_what_the_others_have(two_joints: Bench) -> None:

@@ -54,7 +54,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             falls as the speed rises; `fast`, friction grows faster than the speed; `direction`, friction differs
             between the two; `load`, `position`, `temperature`; `reversal`, friction depends on how long ago the motion
             reversed. A run's verdict uses it to suggest a model with a missing term, never one with empty `sees`.
-        export_target: Target of the export that a run suggests.
+        export_target: Target of the export that a run suggests, without a difference from the fitted drive if there is
+            one.
         params: Initial value, bounds and scale of each physical parameter.
 
     Raises:
@@ -72,7 +73,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     memory: int = 0
     shortest_segment: float = 0.0
     sees: ClassVar[tuple[str, ...]] = ()
-    export_target: ClassVar[str] = "mjcf"
+    export_target: ClassVar[str] = "mujoco"
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -188,6 +189,8 @@ class TorchFriction(FrictionModel):
 
     Cannot represent: a memory; a function of the whole batch, such as batch normalisation.
     """
+
+    export_target = "mjcf"
 
     @abstractmethod
     def forward(self, state: DriveState) -> FrictionTerms:

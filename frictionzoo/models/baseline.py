@@ -18,6 +18,7 @@ class Baseline(FrictionModel):
     """
 
     dissipative = True
+    export_target = "mjcf"
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return no terms."""

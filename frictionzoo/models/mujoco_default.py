@@ -35,6 +35,7 @@ class MujocoDefault(FrictionModel):
     constraint = True
     dissipative = True
     sees = ("speed",)
+    export_target = "mjcf"
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """Return the constraint's limit and the damping, independent of the state."""

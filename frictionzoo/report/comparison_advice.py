@@ -6,12 +6,11 @@ from typing import NamedTuple
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.telling import say_percent
 from frictionzoo.diagnostics.findings import Finding
-from frictionzoo.report.run_page import list_uses
+from frictionzoo.report.run_page import find_target, list_uses
 from frictionzoo.result.comparison.runs import Run
 from frictionzoo.result.comparison.statistics import MATTERS
 from frictionzoo.result.comparison.types import Comparison, Pair
 from frictionzoo.result.names import name_some
-from frictionzoo.result.verdict import is_usable
 
 MORE = 4  # factor on the number of rollouts; halves an interval
 _RUN = ["python", "-m", "frictionzoo.run"]
@@ -61,13 +60,13 @@ def _say_next(comparison: Comparison) -> str:
 
 def list_steps_to_use(run: Run, place: str) -> list[str]:
     """Return lines that use the recommended run: from its folder or, if not saved, from the result of `fz.compare`."""
-    usable = is_usable(run.result)
+    target = find_target(run.result)
     if (run.folder / RESULT).exists():
-        return list_uses(place, usable)
+        return list_uses(place, target)
     return [
         "drive = compared.recommended  # compared = fz.compare(...)",
         "drive.parameters, drive.rollout()",
-        *(['drive.export("mjcf", "export")'] if usable else []),
+        *([f'drive.export("{target}", "export")'] if target else []),
         f'drive.save("{run.result.model}")',
     ]
 

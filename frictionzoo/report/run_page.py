@@ -87,7 +87,7 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
         verdict=result.verdict,
         joints=joints,
         place=place,
-        uses=list_uses(place, is_usable(result)),
+        uses=list_uses(place, find_target(result)),
         usable=is_usable(result),
         purposes=[PURPOSES[row.kind] for row in result.verdict.commands],
         command=command,
@@ -105,10 +105,19 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
     )
 
 
-def list_uses(place: str, usable: bool = True) -> list[str]:
-    """Return lines that use the result in a folder, in a shell and in Python; unless `usable`, they only read it."""
-    export = [f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf"] if usable else []
-    use = "drive.parameters, drive.rollout()" if usable else "drive.parameters, drive.result.verdict"
+def find_target(result: Result) -> str | None:
+    """Return the target of the export that the run suggested, None if the drive is not to be used."""
+    if not is_usable(result):
+        return None
+    suggested = [row.command for row in result.verdict.commands if row.kind == "export"]
+    named = re.search(r"target=(\w+)", " ".join(suggested))
+    return named[1] if named else "mjcf"
+
+
+def list_uses(place: str, target: str | None) -> list[str]:
+    """Return lines that use the result in a folder, in a shell and in Python; without a target they only read it."""
+    export = [f"python -m frictionzoo.export {shlex.quote(place)} target={target}"] if target else []
+    use = "drive.parameters, drive.rollout()" if target else "drive.parameters, drive.result.verdict"
     return [*export, "import frictionzoo as fz", f"drive = fz.load({place!r})", use]
 
 
