@@ -88,7 +88,15 @@ def devices_of(rollout: Rollout) -> list[Any]:
 def each(data: Blocks) -> Iterator[Blocks]:
     """Yield the blocks."""
     for index in range(len(data.weight)):
-        yield jax.tree.map(operator.itemgetter(index), data)
+        # Compiled as one: JAX compiles every shape of an array by itself.
+        yield (_take_block if isinstance(data.weight, Array) else _get_block)(data, index)
+
+
+def _get_block(data: Blocks, index: Any) -> Blocks:
+    return jax.tree.map(operator.itemgetter(index), data)
+
+
+_take_block = jax.jit(_get_block)
 
 
 def each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Blocks, Array, Array]]:

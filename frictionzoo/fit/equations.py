@@ -177,6 +177,7 @@ def compile_equations(
     `Loss.shares`.
     """
     shooting, finish = residuals.shooting, jax.jit(residuals.finish)
+    by_branch = jax.jit(shooting.by_branch)
     measured, devices = measured_states(data.qpos, data.qvel), len(data.qpos.sharding.device_set)
     example = tuple(jax.device_put(part, data.begun.sharding) for part in (measured, follow(measured)))
     solve_block, compile_states = _compile_both(residuals, exact, devices, start, next(each_part(data, example)))
@@ -206,7 +207,7 @@ def compile_equations(
         host = without_motion(data)
         if not residuals.loss.refine:
             return *to_numpy(finish(equations(vector, data, measured_states(data.qpos, data.qvel)), host)[:3]), None
-        trial, states = shooting.by_branch(data.begun), data.begun
+        trial, states = by_branch(data.begun), data.begun
         if begun is not None:
             trial, states = begin(vector, begun, host)
         search = system = None

@@ -79,7 +79,7 @@ class TorqueEquation:
         self._sparsity = Sparsity.of(space, range(bench.nv) if is_local else [0] * bench.nv)
         steady = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self.motions]
         self._external = -self._inverse(bench, steady, None)
-        self._compiled = jax.jit(self._torque), jax.jit(self._tangents)
+        self._compiled = jax.jit(self._torque), jax.jit(self._tangents), jax.jit(self._state)
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
         """Return the residual torque, filtered and decimated [N m or N]."""
@@ -93,14 +93,14 @@ class TorqueEquation:
         """Return the residual torque with this friction torque in place of the model's [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
         bench = values["bench"]
-        torque = np.asarray(self._state(values).motor_torque, np.float64) - friction
+        torque = np.asarray(self._compiled[2](values).motor_torque, np.float64) - friction
         return self.decimate(torque - np.asarray(bench["armature"]) * self.motion.qacc) - self._rigid(bench)
 
     def state(self, vector: Float[np.ndarray, "coordinates"]) -> DriveState:
         """Return the inputs of the friction model at every sample, as numpy arrays of shape (time, nv)."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
         shape = self.motion.qpos.shape
-        return self._state(values).map(lambda signal: np.broadcast_to(np.asarray(signal, np.float64), shape))
+        return self._compiled[2](values).map(lambda signal: np.broadcast_to(np.asarray(signal, np.float64), shape))
 
     def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
         """Return the derivative of the residual torque with respect to the coordinates."""
@@ -158,7 +158,7 @@ class TorqueEquation:
     def driving(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
         """Return the torque of the drives, filtered and decimated [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
-        return self.decimate(np.asarray(self._state(values).motor_torque, np.float64))
+        return self.decimate(np.asarray(self._compiled[2](values).motor_torque, np.float64))
 
     def _torque(self, vector: Array) -> Float[Array, "time nv"]:
         """Return the torque that drives the links, at all samples."""

@@ -114,7 +114,7 @@ def compensate(
         if not segments.count:  # a card has no recordings: one state in motion
             rows = jax.tree.map(lambda signal: jnp.ones((1, bench.nv)), rows)
         arrays = jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), values)
-        surplus = np.asarray(stepping.surplus(arrays, *rows), np.float64)
+        surplus = np.asarray(jax.jit(stepping.surplus)(arrays, *rows), np.float64)
     armature = np.asarray(values["bench"]["armature"])
     changed = {"armature": np.maximum(armature + surplus, _LEAST * armature), "delay": _delay(values, bench.timestep)}
     return {owner: {**named, **changed} if owner == "bench" else dict(named) for owner, named in values.items()}

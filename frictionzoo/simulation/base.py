@@ -110,7 +110,9 @@ def control(bench: Bench, values: Values, qpos: Array, qvel: Array, signals: Sig
 
 def friction_of(module: Any, second_order: bool = False) -> Friction:
     """Return a friction module's two functions, over `jax.numpy`, for rollouts of first or second order."""
-    return Friction(partial(module.settle, jnp), partial(module.advance_midway if second_order else module.advance, jnp))
+    return Friction(
+        partial(module.settle, jnp), partial(module.advance_midway if second_order else module.advance, jnp)
+    )
 
 
 def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:
