@@ -176,8 +176,7 @@ def compile_equations(
     follow, with the derivatives by the states only. `start` is the initial vector, on all devices; `exact` is for
     `Loss.shares`.
     """
-    shooting, finish = residuals.shooting, jax.jit(residuals.finish)
-    by_branch = jax.jit(shooting.by_branch)
+    shooting, finish, by_branch = residuals.shooting, jax.jit(residuals.finish), jax.jit(residuals.shooting.by_branch)
     measured, devices = measured_states(data.qpos, data.qvel), len(data.qpos.sharding.device_set)
     example = tuple(jax.device_put(part, data.begun.sharding) for part in (measured, follow(measured)))
     solve_block, compile_states = _compile_both(residuals, exact, devices, start, next(each_part(data, example)))
