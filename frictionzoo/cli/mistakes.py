@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn
 
 from frictionzoo.core.errors import OutputError
-from frictionzoo.core.telling import end_line, escape_controls, tell
+from frictionzoo.core.telling import escape_controls, in_new_line, tell
 
 REFUSED = 2
 """Exit status for a mistake that the user has to correct."""
@@ -100,9 +100,9 @@ class _Lasting(io.FileIO):
     fault = ""
 
     def write(self, data: Any) -> int | None:
-        end_line()
         try:
-            return super().write(data)
+            with in_new_line():
+                return super().write(data)
         except OSError as error:
             self.fault = "" if isinstance(error, BrokenPipeError) else str(error.strerror)
             null = os.open(os.devnull, os.O_WRONLY)

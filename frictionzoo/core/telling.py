@@ -71,13 +71,14 @@ class _Activity:
             print(text + end, file=sys.stderr, flush=True)
             return
         text = text[: shutil.get_terminal_size().columns - 1 - len(end)] + end
-        renewed = f"\r{text.ljust(self.length)}" if self.length else text
-        self.length = 0  # so that this output does not finish the line
-        print(renewed, end="", file=sys.stderr, flush=True)
-        self.length = len(text)
+        with _line:
+            _write(f"\r{text.ljust(self.length)}" if self.length else text)
+            self.length = len(text)
 
 
 _now = _Activity()
+_line = threading.RLock()
+"""Held while the line changes. Its holder does not use a stream's buffer: whoever writes to one waits for this lock."""
 
 
 def is_watched() -> bool:
@@ -107,10 +108,23 @@ def name_job(job: str | None) -> None:
 
 def end_line() -> None:
     """Finish the line that shows the current activity; other output begins in a new one."""
-    if _now.length:
-        _now.length = 0
-        with contextlib.suppress(OSError):  # the terminal was closed
-            os.write(sys.stderr.fileno(), b"\n")
+    with _line:
+        if _now.length:
+            _now.length = 0
+            _write("\n")
+
+
+@contextlib.contextmanager
+def in_new_line() -> Iterator[None]:
+    """Finish the line that shows the current activity, and keep it from being renewed meanwhile."""
+    with _line:
+        end_line()
+        yield
+
+
+def _write(text: str) -> None:
+    with contextlib.suppress(OSError):  # the terminal was closed
+        os.write(sys.stderr.fileno(), text.encode(sys.stderr.encoding, "replace"))
 
 
 @contextlib.contextmanager
