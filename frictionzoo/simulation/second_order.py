@@ -66,6 +66,8 @@ class SecondOrder:
     def _slope(self, values: Values, qpos: Array, qvel: Array, signals: Signals, memory: Array) -> Float[Array, "nv"]:
         """Return the damping, the fall of torque over velocity [N m s/rad]; implicit torques count negatively."""
         bench_values, ones = values["bench"], jnp.ones_like(qvel)
+        # An array of JAX: in scan it takes numpy's for float32 unless 64 bits are its default.
+        own_damping = jnp.asarray(self._bench.own_damping, qvel.dtype)
         affine = self._bench.actuator.affine(bench_values)
 
         def brake(velocity: Array) -> tuple[Array, Array]:
@@ -83,4 +85,4 @@ class SecondOrder:
             return jnp.broadcast_to(explicit, qvel.shape), jnp.broadcast_to(damping, qvel.shape)
 
         (_, damping), (explicit, _) = jax.jvp(brake, (qvel,), (ones,))
-        return explicit - self._actuator_sign * affine.bias2 + self._damping_sign * (damping + self._bench.own_damping)
+        return explicit - self._actuator_sign * affine.bias2 + self._damping_sign * (damping + own_damping)
