@@ -57,6 +57,9 @@ def test_a_run_suggests_a_target_that_exists() -> None:
     suggested = {name: MODELS.get(name).export_target for name in MODELS.names()}
     assert {*suggested.values()} <= {*TARGETS.names()}
     exact = {name for name, target in suggested.items() if target == "mjcf"}
+    both = fz.law("by_joint", nv=2, laws={".*1": "baseline", ".*": "mujoco_default"})
+    both.bind(["joint1", "joint2"])
+    assert both.export_target == "mjcf"
     assert exact == {"baseline", "mujoco_default"} and suggested["stribeck"] == "mujoco"
     assert suggested["actuator_network"] == suggested["actuator_lstm"] == "actuator_net"
 

@@ -303,6 +303,14 @@ def test_bristles_are_mujocos_own_as_steps_get_short(tmp_path):
     assert model.dof_damping == friction["viscous_coefficient"] and model.na == 1
 
 
+@pytest.mark.parametrize("law", ["dahl", "torque_proportional", "maxwell_slip"])
+@pytest.mark.parametrize("target", ["mujoco", "mjx"])
+def test_springs_of_a_drive_in_continuous_time_are_written_as_they_act(law, target, tmp_path):
+    fitted = make_fitted(law, "bench.second_order=true").at(0.002)
+    (difference,) = get_target(target)().write(fitted, tmp_path, {}).differences
+    assert fitted.is_simulated and difference.largest < 1e-12
+
+
 @pytest.mark.parametrize("law", ["lugre", "dahl"])
 def test_a_drive_of_bristles_comes_back_from_mujocos_own(law, tmp_path):
     """Written, read as a robot's file, and written again, it is the same drive: in MuJoCo C, and in this simulator."""

@@ -20,6 +20,7 @@ from frictionzoo.core.described import describe, remake
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
+from frictionzoo.models.dahl import Dahl
 from frictionzoo.result.simulator import build_simulated, compensate
 from frictionzoo.simulation.drive import Drive
 from frictionzoo.simulation.dry_friction import rigid_step
@@ -143,19 +144,62 @@ def solve_springs(name: str, ctrl: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
-@pytest.mark.parametrize("name", SPRINGS)
-def test_springs_of_a_friction_model_are_of_second_order_too(name: str, integrator: str, tmp_path: Path) -> None:
+def spring_law(name: str) -> fz.FrictionModel:
     values = {**SPRINGS[name], "viscous_coefficient": VISCOUS}
     values |= {"stiffness": STIFFNESS} if name in ("dahl", "lugre") else {}
     options = {"elements": 1} if name == "maxwell_slip" else {}
-    ctrl = 0.05 * np.sin(6 * INTERVAL * np.arange(100))
-    sizes = {key: {"init": value, "high": 2 * value} for key, value in values.items()}
-    friction = fz.law(name, params=sizes, **options)
-    truth = solve_springs(name, ctrl)
+    return fz.law(name, params={key: {"init": value, "high": 2 * value} for key, value in values.items()}, **options)
+
+
+SMALL = 0.05 * np.sin(6 * INTERVAL * np.arange(100))
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+@pytest.mark.parametrize("name", SPRINGS)
+def test_springs_of_a_friction_model_are_of_second_order_too(name: str, integrator: str, tmp_path: Path) -> None:
+    ctrl, friction, truth = SMALL, spring_law(name), solve_springs(name, SMALL)
     steps = (2.5e-3, 1.25e-3, 6.25e-4)
     errors = [np.abs(roll(bench(tmp_path, integrator, h), ctrl, friction, REST) - truth).max() for h in steps]
     assert errors[0] / errors[1] > 3 and errors[1] / errors[2] > 2.8 and errors[-1] < 5e-6
+
+
+def test_a_law_that_changes_a_step_of_its_parent_changes_those_of_second_order() -> None:
+    class Twice(Dahl):
+        def advance(self, xp: Any, values: Any, state: Any, memory: Any, timestep: float) -> Any:
+            terms, memory = super().advance(xp, values, state, memory, timestep)
+            return terms._replace(torque=2 * terms.torque), memory
+
+    assert Twice.advance_midway is fz.FrictionModel.advance_midway is not Dahl.advance_midway
+
+
+def test_a_drive_of_32_bits_is_simulated_in_64_too(tmp_path: Path) -> None:
+    """As a fit in float32 and its exports do, with the arrays of one bench."""
+    stand, friction = bench(tmp_path, "Euler", 1e-3), law()
+    with jax.enable_x64(False):
+        drive = Drive.assemble(stand, friction, "auto", stand.sampling(INTERVAL))
+        values = jax.tree.map(np.float32, values_of(stand, friction))
+        start = (np.full((1, 1), part, np.float32) for part in START)
+        qpos, _ = drive.rollout.compiled(values, *start, Signals(np.float32(COMMANDS)[None, :, None]))
+    whole = roll(stand, COMMANDS)
+    assert qpos.dtype == np.float32 and whole.dtype == np.float64
+    assert np.abs(whole - solve(COMMANDS)).max() < 3e-5 > np.abs(qpos[0, :, 0] - whole).max()
+
+
+@pytest.mark.parametrize("name", SPRINGS)
+def test_a_simulator_moves_as_a_drive_with_springs(name: str, tmp_path: Path) -> None:
+    stand, friction, truth = bench(tmp_path, "Euler", 1e-3), spring_law(name), solve_springs(name, SMALL)
+    values, qpos = values_of(stand, friction), np.concatenate([[0.0], truth])[None, :, None]
+    segments = Segments(qpos, np.gradient(qpos, INTERVAL, axis=1), Signals(SMALL[None, :, None]), INTERVAL)
+    simulated = build_simulated(stand, describe(stand), values, {"timestep": 2e-3})
+    found, errors = compensate(simulated, friction, values, segments), []
+    with jax.enable_x64(True):
+        for midway in (True, False):
+            drive = Drive.assemble(simulated, friction, "auto", simulated.sampling(INTERVAL), midway)
+            history = simulated.sampling(INTERVAL).history
+            acting = Signals(np.pad(SMALL, (history, 0), "edge")[None, :, None])
+            qpos, _ = drive.rollout.compiled(found, np.zeros((1, 1)), np.zeros((1, 1)), acting)
+            errors.append(np.abs(np.asarray(qpos)[0, :, 0] - truth).mean())
+    assert errors[0] < 0.4 * errors[1] and errors[0] < 1.5e-5
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])

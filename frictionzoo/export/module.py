@@ -46,7 +46,8 @@ def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **
         )
     model, bench = fitted.model, fitted.bench
     values, large = write_values(fitted.values["friction"])
-    law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
+    advance = "advance_midway" if fitted.is_simulated else "advance"
+    law = read_source(model, *(("terms", "settle", advance) if model.memory else ("terms",)))
     actuator, shared = read_source(bench.actuator, "control"), SourceText()
     shared.take(law)
     shared.take(actuator)
@@ -72,6 +73,7 @@ def write_module(fitted: FittedDrive, folder: Path, template: str, name: str, **
         actuator=write_values(fitted.values["bench"])[0],
         constraint=model.constraint,
         memory=model.memory,
+        advance=Code(advance),
         controls=controls(fitted),
         **more,
     )

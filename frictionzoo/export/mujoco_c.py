@@ -24,7 +24,7 @@ from frictionzoo.result.fitted_drive import FittedDrive
 
 FORMS = ("module", "native")
 LAWS = ("lugre", "dahl")  # friction models of MuJoCo's dcmotor
-REASON = "MuJoCo uses the bristle torque at a step's beginning, the drive at its end"
+REASON = "MuJoCo uses the bristle torque at a step's beginning, the drive implicitly"
 _LUGRE = ("stiffness", "micro_damping", "kinetic_torque", "static_torque", "stribeck_velocity")
 _NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, no command
 

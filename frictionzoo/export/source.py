@@ -100,7 +100,7 @@ def _add_laws(source: SourceText, laws: Sequence[FrictionModel]) -> str:
     """Add a class for each contained model; return the text of a tuple with an object of each."""
     names = []
     for number, law in enumerate(laws, 1):
-        law_source = read_source(law, "terms", "settle", "advance")
+        law_source = read_source(law, "terms", "settle", "advance", "advance_midway")
         names.append(f"Law{number}")
         source.take(law_source)
         source.functions[names[-1]] = law_source.as_class(names[-1], "The friction law of some of the joints.")

@@ -83,10 +83,7 @@ def suggest_commands(
         found["recording"] = _design_in_shell(problem, limits, law, origin)
     else:
         found["inspect"] += "  # no command can be designed for this drive; record the motion that is missing"
-    target = problem.drive.model.export_target
-    if target == "mujoco" and problem.bench.integrator == "RK4":
-        target = "mjcf"  # friction of a control callback would be constant over RK4's stages
-    found["export"] = f"python -m frictionzoo.export {origin.place} target={target}"
+    found["export"] = f"python -m frictionzoo.export {origin.place} target={problem.drive.model.export_target}"
     return [SuggestedCommand(kind, command) for kind, command in found.items()]
 
 

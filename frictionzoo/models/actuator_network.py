@@ -22,7 +22,7 @@ class ActuatorModel(ResidualNetwork):
 
     sees: ClassVar[tuple[str, ...]] = ("speed", "slow", "fast", "direction", "load", "reversal")
     count: ClassVar[int] = 2
-    export_target: ClassVar[str] = "actuator_net"
+    export_target = "actuator_net"
     history: Sequence[int] = (0,)
 
     def signals(self, state: DriveState) -> list[Any]:

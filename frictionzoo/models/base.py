@@ -54,8 +54,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             falls as the speed rises; `fast`, friction grows faster than the speed; `direction`, friction differs
             between the two; `load`, `position`, `temperature`; `reversal`, friction depends on how long ago the motion
             reversed. A run's verdict uses it to suggest a model with a missing term, never one with empty `sees`.
-        export_target: Target of the export that a run suggests, without a difference from the fitted drive if there is
-            one.
+        export_target: Target of the export that a run suggests. By default `mujoco`, which writes the exact model; set
+            `mjcf` if its methods cannot be written as source text, for example because of arrays in attributes.
         params: Initial value, bounds and scale of each physical parameter.
 
     Raises:
@@ -73,10 +73,12 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     memory: int = 0
     shortest_segment: float = 0.0
     sees: ClassVar[tuple[str, ...]] = ()
-    export_target: ClassVar[str] = "mujoco"
+    export_target: str = "mujoco"
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
+        if "advance" in vars(cls) and "advance_midway" not in vars(cls):
+            cls.advance_midway = FrictionModel.advance_midway  # a parent's would ignore what this class changes
         if "physical_parameters" in vars(cls):
             cls.dimensions = {name: parameter.dimension for name, parameter in cls.physical_parameters.items()}
 
@@ -159,7 +161,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         """Advance one step of a second-order rollout, whose states are half a step apart; arguments as in `advance`.
 
         The torque belongs to the middle of the step from `state.qvel` to the next velocity, and the memory in this
-        state is the memory there. By default `advance`, of first order for a model with memory.
+        state is the memory there. By default `advance`, of first order for a model with memory. A class that overrides
+        `advance` does not inherit this method from a parent that has both.
         """
         return self.advance(xp, values, state, memory, timestep)
 

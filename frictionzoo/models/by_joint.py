@@ -167,6 +167,7 @@ class ByJoint(FrictionModel):
             self.add_module(label, law)
         self.constraint = any(law.constraint for law in made)
         self.dissipative = all(law.dissipative for law in made)
+        self.export_target = "mjcf" if all(law.export_target == "mjcf" for law in made) else "mujoco"
         self.widths = tuple(law.memory for law in made)
         self.memory = max(self.widths)
         self.shortest_segment = max(law.shortest_segment for law in made)

@@ -110,7 +110,7 @@ def find_target(result: Result) -> str | None:
     if not is_usable(result):
         return None
     suggested = [row.command for row in result.verdict.commands if row.kind == "export"]
-    named = re.search(r"target=(\w+)", " ".join(suggested))
+    named = re.search(r" target=(\w+)$", " ".join(suggested))
     return named[1] if named else "mjcf"
 
 

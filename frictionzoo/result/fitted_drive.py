@@ -350,4 +350,6 @@ class FittedDrive:
     @cached_property
     def _drive(self) -> Drive:
         with jax.enable_x64(True):
-            return Drive.assemble(self.bench, self.model, "auto", self.sampling)
+            # A simulator that moves as a drive of second order takes its torques as that does.
+            midway = self.sampling.second_order or self.is_simulated
+            return Drive.assemble(self.bench, self.model, "auto", self.sampling, midway)

@@ -107,7 +107,7 @@ def compensate(
     measured states is used; without states, over one state with all inputs equal to 1. An armature keeps at least a
     tenth of its value.
     """
-    stepping = SecondOrder(bench, friction_of(model))
+    stepping = SecondOrder(bench, friction_of(model, midway=True))
     with jax.enable_x64(True):
         states = segments.qpos[:, :-1], segments.qvel[:, :-1], segments.acting
         rows = jax.tree.map(lambda signal: jnp.asarray(signal, jnp.float64).reshape(-1, bench.nv), states)

@@ -108,11 +108,9 @@ def control(bench: Bench, values: Values, qpos: Array, qvel: Array, signals: Sig
     return bench.actuator.control(jnp, values["bench"], qpos, qvel, signals.ctrl, signals.inputs)
 
 
-def friction_of(module: Any, second_order: bool = False) -> Friction:
-    """Return a friction module's two functions, over `jax.numpy`, for rollouts of first or second order."""
-    return Friction(
-        partial(module.settle, jnp), partial(module.advance_midway if second_order else module.advance, jnp)
-    )
+def friction_of(module: Any, midway: bool = False) -> Friction:
+    """Return a friction module's two functions, over `jax.numpy`; `midway` for its torque in the middle of the step."""
+    return Friction(partial(module.settle, jnp), partial(module.advance_midway if midway else module.advance, jnp))
 
 
 def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:

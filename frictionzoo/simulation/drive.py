@@ -29,8 +29,17 @@ class Drive:
     rollout: Rollout
 
     @classmethod
-    def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling = EACH_STEP) -> "Drive":
+    def assemble(
+        cls,
+        bench: Bench,
+        model: FrictionModel,
+        engine: str,
+        sampling: Sampling = EACH_STEP,
+        midway: bool | None = None,
+    ) -> "Drive":
         """Assemble the drive of this bench and model with the engine of this name.
+
+        `midway` is whether steps take `advance_midway` of the model; None: those of second order do.
 
         Raises:
             BenchError: The model has another number of joints.
@@ -41,7 +50,8 @@ class Drive:
         if isinstance(model, TorchFriction):
             simulated = make_engine(engine, bench, AS_GIVEN, model.constrained)
             return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
-        simulated = make_engine(engine, bench, friction_of(model, sampling.second_order), model.constrained)
+        midway = sampling.second_order if midway is None else midway
+        simulated = make_engine(engine, bench, friction_of(model, midway), model.constrained)
         coupled = any(bench.branches) and not looks_at_one_joint(model)
         return cls(model, simulated, make_rollout(simulated, sampling, coupled))
 
